@@ -53,6 +53,11 @@ impl Camera {
         -(self.rotation().transpose() * self.camera_from_world_translation)
     }
 
+    /// Where the camera looks: its optical axis in world coordinates, of length 1.
+    pub fn axis_in_world(&self) -> DVec3 {
+        self.rotation().row(2)
+    }
+
     /// Pixel coordinate of a point in camera coordinates (pixel centres at integers).
     pub fn pixel_from_camera(&self, point: DVec3) -> [f64; 2] {
         [
@@ -79,13 +84,28 @@ impl Camera {
     }
 }
 
+/// The mean of some places, and the largest distance from it.
+pub fn mean_and_radius(places: &[DVec3]) -> (DVec3, f64) {
+    let mean = places.iter().sum::<DVec3>() / places.len().max(1) as f64;
+    (mean, places.iter().map(|place| place.distance(mean)).fold(0.0, f64::max))
+}
+
+/// The normal equations `(A, b)`, `A x = b`, of the point that is nearest to the optical axes, by least squares of the distances:
+/// Σ (I − d dᵀ)(x − c) = 0. Those of something else, `prior`, are added to.
+pub fn nearest_to_axes(cameras: &[Camera], prior: (DMat3, DVec3)) -> (DMat3, DVec3) {
+    cameras.iter().fold(prior, |(matrix, right), camera| {
+        let axis = camera.axis_in_world();
+        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        (matrix + across, right + across * camera.centre_in_world())
+    })
+}
+
 /// The near plane of cameras that stand at these places, world units: [`NEAR_DEPTH`], or less where the scene is smaller
 /// than usual.
 pub fn near_of(centres: &[DVec3]) -> f64 {
     /// Of the largest distance of a camera from their mean.
     const FRACTION: f64 = 0.1;
-    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
+    let (_, radius) = mean_and_radius(centres);
     // Cameras at one place say nothing of the scene's size.
     if radius > 0.0 { NEAR_DEPTH.min(FRACTION * radius) } else { NEAR_DEPTH }
 }

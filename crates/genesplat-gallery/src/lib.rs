@@ -113,7 +113,7 @@ impl Gallery {
             ImageRecord { name: view.name.clone(), camera: 1, rotation: [w, x, y, z], translation }
         };
         let images = self.views.iter().map(image).collect();
-        Model { cameras: [(1, intrinsics)].into(), images, points: self.points.clone() }
+        Model { cameras: [(1, intrinsics)].into(), images, points: self.points.clone(), notices: Vec::new() }
     }
 }
 

@@ -10,7 +10,9 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat_core::backend::Update;
-use genesplat_core::{Backend, DensitySignal, Gaussians, LearningRates, RenderSettings, StatisticsRequest, TrainStep};
+use genesplat_core::{
+    Backend, DensitySignal, Gaussians, LearningRates, RenderSettings, StatisticsRequest, TrainStep, median,
+};
 use genesplat_gallery::GalleryOptions;
 use genesplat_gpu::GpuBackend;
 use genesplat_io::HoldOut;
@@ -44,7 +46,8 @@ fn main() -> Result<()> {
             reports.extend(reported);
         }
     }
-    let (device, step, report) = (gpu.describe(), median(steps), median(reports));
+    let [step, report] = [steps, reports].map(|times| median(times).unwrap_or_default());
+    let device = gpu.describe();
     Ok(writeln!(std::io::stdout(), "{device}: a step {step:.0} µs, a report {report:.0} µs (medians)")?)
 }
 
@@ -71,9 +74,4 @@ fn micros<E>(work: impl FnOnce() -> Result<(), E>) -> Result<f64, E> {
 fn processor_nanos() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     text.split(' ').next()?.parse().ok()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or_default()
 }

@@ -102,6 +102,15 @@ fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
+/// Whether a file is called `.genesplat-PROCESS-SERIAL.tmp`, as those are that were never renamed.
+pub fn is_temporary(name: &str) -> bool {
+    let numbers = name.strip_prefix(".genesplat-").and_then(|rest| rest.strip_suffix(".tmp"));
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    numbers
+        .and_then(|numbers| numbers.split_once('-'))
+        .is_some_and(|(process, serial)| is_number(process) && is_number(serial))
+}
+
 #[cfg(test)]
 mod tests {
     use std::io::Write;

@@ -19,17 +19,17 @@ const NAME: &str = "bytes";
 
 /// COLMAP's cameras.
 pub fn cameras(form: Form, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
-    colmap::parse_cameras(form, NAME.as_ref(), bytes)
+    colmap::parse_cameras(form, NAME.as_ref(), bytes)?.into_iter().map(|(id, judged)| Ok((id, judged?))).collect()
 }
 
 /// COLMAP's photos.
 pub fn images(form: Form, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
-    colmap::parse_images(form, NAME.as_ref(), bytes)
+    Ok(colmap::parse_images(form, NAME.as_ref(), bytes)?.records)
 }
 
 /// COLMAP's points.
 pub fn points(form: Form, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
-    colmap::parse_points(form, NAME.as_ref(), bytes)
+    Ok(colmap::parse_points(form, NAME.as_ref(), bytes)?.records)
 }
 
 /// A `transforms.json`.

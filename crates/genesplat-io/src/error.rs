@@ -132,7 +132,7 @@ pub enum SceneError {
         /// Its id or the photo that it belongs to.
         camera: String,
         /// What is wrong.
-        problem: &'static str,
+        problem: String,
     },
     /// Cameras where the steps of single precision are not small beside the scene.
     #[error(

@@ -205,17 +205,20 @@ pub(crate) fn similar_notice(similar: Similar, list: &Path) -> Option<String> {
     Some(format!("{count} {photos} than {list} says, first {found} for {wanted}"))
 }
 
-/// The error where no photo exists that `list` has; `wanted` is the first.
-pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path) -> SceneError {
+/// The error where no photo exists that `list` has; `wanted` is the first, and may be `elsewhere`.
+pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path, elsewhere: Option<&Path>) -> SceneError {
     let folder = wanted.parent().unwrap_or(Path::new(""));
     let first = |endings: &[&str]| entries(folder).filter(|entry| has_ending(entry, endings)).min();
     let name = |path: &Path| shown(path.file_name().unwrap_or_default()).to_string();
-    let remedy = match (first(&PHOTO_ENDINGS), first(&UNREAD)) {
-        (Some(found), _) => {
+    let remedy = match (elsewhere, first(&PHOTO_ENDINGS), first(&UNREAD)) {
+        (Some(elsewhere), ..) => {
+            format!("; {} has photos of these names, so give --images {}", shown(elsewhere), name(elsewhere))
+        }
+        (_, Some(found), _) => {
             format!(", which has names like {} where {} is wanted; put the photos there", name(&found), name(wanted))
         }
-        (None, Some(unread)) => format!(", which has pictures like {} that are not read; {CONVERT}", name(&unread)),
-        (None, None) => "; put the photos there".into(),
+        (_, _, Some(unread)) => format!(", which has pictures like {} that are not read; {CONVERT}", name(&unread)),
+        _ => "; put the photos there".into(),
     };
     SceneError::AllPhotosMissing { count, list: list.to_owned(), folder: folder.to_owned(), remedy }
 }

@@ -17,9 +17,13 @@ pub const UNREAD: [&str; 11] = ["heic", "heif", "hif", "avif", "tif", "tiff", "d
 pub const CONVERT: &str = "convert them to JPEG, with `heif-convert` or any image program (phones that are set to \"most compatible\" take \
                            JPEG themselves)";
 
+/// What the name of a file ends in, in small letters: `jpg`.
+pub fn ending(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
 pub(crate) fn has_ending(path: &Path, endings: &[&str]) -> bool {
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    endings.contains(&ending.as_str())
+    endings.contains(&ending(path).as_str())
 }
 
 /// What is in a folder; nothing where it cannot be read.

@@ -1,6 +1,6 @@
 //! Which way is up, and what to turn around: from the scene's cameras, or from the cloud where there are none.
 
-use genesplat_core::{Camera, Gaussians};
+use genesplat_core::{Camera, Gaussians, camera, median};
 use glam::{DMat3, DVec3};
 use serde::Serialize;
 
@@ -31,22 +31,16 @@ impl Framing {
     pub fn of_cloud(cloud: &Gaussians) -> Self {
         let step = cloud.len().div_ceil(SAMPLE).max(1);
         let sample: Vec<DVec3> = cloud.positions.iter().step_by(step).map(|p| DVec3::from(p.map(f64::from))).collect();
-        let middle = |axis: usize| median(sample.iter().map(|point| point[axis]).collect());
+        let middle = |axis: usize| median(sample.iter().map(|point| point[axis])).unwrap_or(0.0);
         let centre = DVec3::new(middle(0), middle(1), middle(2));
-        let spread = median(sample.iter().map(|point| point.distance(centre)).collect());
+        let spread = median(sample.iter().map(|point| point.distance(centre))).unwrap_or(0.0);
         Self { up: [0.0, -1.0, 0.0], centre: centre.into(), distance: (2.5 * spread).max(1e-3) }
     }
 }
 
 /// The point that is nearest to all optical axes, in front of most cameras; `None` where they are parallel.
 fn nearest_to_axes(cameras: &[Camera]) -> Option<DVec3> {
-    let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for camera in cameras {
-        let axis = camera.rotation().transpose().z_axis;
-        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        matrix += across;
-        right += across * camera.centre_in_world();
-    }
+    let (matrix, right) = camera::nearest_to_axes(cameras, (DMat3::ZERO, DVec3::ZERO));
     let scale = cameras.len() as f64;
     let is_sound = (matrix * (1.0 / scale)).determinant() > 1e-4;
     let point = matrix.inverse() * right;
@@ -58,14 +52,9 @@ fn nearest_to_axes(cameras: &[Camera]) -> Option<DVec3> {
 fn ahead(cameras: &[Camera]) -> Option<DVec3> {
     let mean = |of: fn(&Camera) -> DVec3| cameras.iter().map(of).sum::<DVec3>() / cameras.len() as f64;
     let centre = mean(Camera::centre_in_world);
-    let axis = mean(|camera| camera.rotation().transpose().z_axis).try_normalize()?;
+    let axis = mean(Camera::axis_in_world).try_normalize()?;
     let apart = cameras.iter().map(|camera| camera.centre_in_world().distance(centre)).fold(0.0, f64::max);
     Some(centre + axis * apart.max(1.0))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -59,7 +59,10 @@ fn auto_choice() -> &'static Result<(), String> {
         let opened = || output::without_drivers(check_best).map_err(|error| error.to_string());
         let chosen = auto_adapter(graphics()).and_then(|adapter| opened().map(|()| adapter));
         match &chosen {
-            Ok(adapter) => output::detail(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
+            Ok(adapter) => output::note(&format!(
+                "notice: {} ({}) does the work, though no graphics card has been tried yet; --device cpu is the tested way",
+                adapter.name, adapter.api
+            )),
             Err(reason) => output::note(&format!("notice: the CPU did all the work, since {reason}")),
         }
         chosen.map(|_| ())

@@ -83,16 +83,10 @@ pub(crate) fn remove_leftovers(folder: &Path) {
 /// What processes that were killed while they wrote have left in `folder`.
 pub(crate) fn leftovers(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.filter(|entry| is_leftover(&entry.file_name().to_string_lossy())).map(|entry| entry.path()).collect()
-}
-
-/// `.genesplat-PROCESS-SERIAL.tmp`, as [`atomic`] names what it has not renamed yet.
-fn is_leftover(name: &str) -> bool {
-    let numbers = name.strip_prefix(".genesplat-").and_then(|rest| rest.strip_suffix(".tmp"));
-    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    numbers
-        .and_then(|numbers| numbers.split_once('-'))
-        .is_some_and(|(process, serial)| is_number(process) && is_number(serial))
+    entries
+        .filter(|entry| atomic::is_temporary(&entry.file_name().to_string_lossy()))
+        .map(|entry| entry.path())
+        .collect()
 }
 
 /// The sentence for a path that cannot be written.

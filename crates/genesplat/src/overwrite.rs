@@ -1,12 +1,11 @@
 //! What no command writes over, however its `--out` or `--json` was mistyped: inputs, splats, parts of scenes and of
 //! runs. A picture may be rendered again, and a splat refined again.
 
-use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use genesplat::io::{Format, PHOTO_ENDINGS, Scene, shown};
+use genesplat::io::{Format, PHOTO_ENDINGS, Scene, ending, shown};
 
 use crate::files::check_writable;
 use crate::run::session::is_part_of_run;
@@ -35,8 +34,8 @@ pub(crate) fn check_existing(path: &Path, content: Content, inputs: &[Option<&Pa
 
 /// What a file is that is not replaced by this content, if it is one.
 fn protected(path: &Path, content: Content) -> Option<&'static str> {
-    let part = |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().to_lowercase();
-    let (stem, end) = (part(path.file_stem()), part(path.extension()));
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let end = ending(path);
     let is_picture = PHOTO_ENDINGS.contains(&end.as_str());
     match (stem.as_str(), end.as_str()) {
         _ if is_part_of_run(path) => Some("part of a run"),

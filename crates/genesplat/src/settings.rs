@@ -28,7 +28,7 @@ pub(crate) struct Settings {
     pub(crate) device: DeviceChoice,
     /// `None` for all cores.
     pub(crate) threads: Option<u16>,
-    pub(crate) train: Schedule,
+    pub(crate) schedule: Schedule,
 }
 
 /// Where the photos are and how large they are loaded.
@@ -37,6 +37,9 @@ pub(crate) struct Settings {
 pub(crate) struct Dataset {
     /// The scene's folder, as it was given.
     pub(crate) path: PathBuf,
+    /// Folder of a COLMAP scene's photos, below `path` or anywhere; left out for `images`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) images: Option<PathBuf>,
     /// Longest side of the photos, px; larger ones are reduced. Default: only widths above 1600 px are reduced, to 1600.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) max_side: Option<u32>,
@@ -74,7 +77,9 @@ impl Dataset {
     /// How its scene is loaded.
     pub(crate) fn options(&self) -> LoadOptions {
         let (size, mask, near) = (self.size(), self.mask, self.near);
-        LoadOptions { size, mask, near, hold_out: self.hold_out.clone(), ..LoadOptions::default() }
+        let usual = LoadOptions::default();
+        let image_folder = self.images.clone().unwrap_or(usual.image_folder);
+        LoadOptions { size, mask, near, image_folder, hold_out: self.hold_out.clone(), ..usual }
     }
 }
 
@@ -155,11 +160,12 @@ impl ConfigFile {
 
     /// Fails where [`Self::resolve`] would, but for the device, which takes a while to find.
     pub(crate) fn check(&self) -> Result<()> {
-        if self.dataset.path.to_str().is_none() {
+        let paths = [Some(&self.dataset.path), self.dataset.images.as_ref()];
+        if let Some(path) = paths.into_iter().flatten().find(|path| path.to_str().is_none()) {
             bail!(
-                "the path of the scene, {}, is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link \
-                 with another name",
-                shown(&self.dataset.path)
+                "the path {} is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link with another \
+                 name",
+                shown(path)
             );
         }
         check_size(self.dataset.max_side, self.dataset.downscale)?;
@@ -178,7 +184,7 @@ impl ConfigFile {
             device: machine.device.or(self.device).unwrap_or_default().resolve()?,
             threads: machine.threads.or(self.threads),
             dataset: self.dataset,
-            train: self.train.resolve()?,
+            schedule: self.train.resolve()?,
         })
     }
 
@@ -195,7 +201,7 @@ impl ConfigFile {
         }
         first_difference(
             &result_settings(&self.dataset, &self.train),
-            &result_settings(&settings.dataset, settings.train.config()),
+            &result_settings(&settings.dataset, settings.schedule.config()),
         )
     }
 
@@ -230,8 +236,8 @@ impl Settings {
             train: &'a TrainConfig,
             dataset: &'a Dataset,
         }
-        let Self { dataset, device, threads, train } = self;
-        let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
+        let Self { dataset, device, threads, schedule } = self;
+        let written = Written { device: *device, threads: *threads, train: schedule.config(), dataset };
         toml::to_string(&written).expect("settings are tables of numbers and text: resolve has checked the path")
     }
 }

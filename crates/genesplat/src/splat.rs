@@ -1,8 +1,8 @@
 //! Finished splats, from a file or from the folder of a run.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Format, Loaded};
 use genesplat::io::{LoadOptions, MaskUse, Scene, command_line, list_scene, shown};
@@ -30,6 +30,17 @@ impl Splat {
         let asked = asked.background.map(Background::fixed_colour);
         self.settings.background = asked.unwrap_or(self.settings.background);
         self
+    }
+
+    /// The folder of the scene: the one that is `given`, else that of the run.
+    pub(crate) fn scene_path(&self, given: Option<&Path>) -> Result<PathBuf> {
+        let of_run = self.trained_on.as_ref().map(|dataset| &*dataset.path);
+        match (given, of_run) {
+            (Some(given), _) => Ok(given.to_owned()),
+            (None, Some(of_run)) if of_run.exists() => Ok(of_run.to_owned()),
+            (None, Some(of_run)) => bail!("the scene of the run, {}, is not there; give --data SCENE", shown(of_run)),
+            (None, None) => bail!("a file does not say which scene it shows; give --data SCENE"),
+        }
     }
 
     /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise.

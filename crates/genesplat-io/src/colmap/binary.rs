@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use super::check::{self, Finite, Judged};
 use super::cursor::Cursor;
-use super::{ImageRecord, Intrinsics, check, models};
+use super::{ImageRecord, models};
 use crate::error::SceneError;
 use crate::scene::Point;
 
@@ -19,14 +20,14 @@ const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 /// One entry of a track: `i32` image id and feature index.
 const TRACK_BYTES: usize = 8;
 
-pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Judged>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("cameras", CAMERA_BYTES)?;
     let cameras = check::by_id(file, (0..count).map(|_| camera(file, &mut cursor)))?;
     cursor.end("cameras").map(|()| cameras)
 }
 
-fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneError> {
+fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Judged), SceneError> {
     const RECORD: &str = "a camera";
     let id = cursor.i32(RECORD)? as u32;
     let model = cursor.i32(RECORD)?;
@@ -37,18 +38,19 @@ fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneEr
     };
     let parameters: Vec<f64> =
         (0..count).map(|_| cursor.f64s::<1>(RECORD).map(|[value]| value)).collect::<Result<_, _>>()?;
-    Ok((id, check::intrinsics(file, id, size, models::parameters(file, id, name, &parameters)?)?))
+    let parameters = models::parameters(file, id, name, &parameters);
+    Ok((id, parameters.and_then(|parameters| check::intrinsics(file, id, size, parameters))))
 }
 
 /// `images.bin`; features are passed over.
-pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("photos", IMAGE_BYTES)?;
-    let images = (0..count).map(|_| image(file, &mut cursor)).collect::<Result<_, _>>()?;
+    let images = check::images(file, (0..count).map(|_| image(&mut cursor)))?;
     cursor.end("photos").map(|()| images)
 }
 
-fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
+fn image(cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
     const RECORD: &str = "a photo's pose";
     cursor.i32(RECORD)?;
     let rotation = cursor.f64s(RECORD)?;
@@ -57,17 +59,17 @@ fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
     let name = cursor.text("a photo's name")?.to_owned();
     let features = cursor.count("image features", FEATURE_BYTES)?;
     cursor.skip("a photo's features", features, FEATURE_BYTES)?;
-    check::pose(file, ImageRecord { name, camera, rotation, translation })
+    Ok(ImageRecord { name, camera, rotation, translation })
 }
 
-pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("points", POINT_BYTES)?;
-    let points = (1..=count).map(|place| point(file, place, &mut cursor)).collect::<Result<_, _>>()?;
+    let points = check::points(file, (0..count).map(|_| point(&mut cursor)))?;
     cursor.end("points").map(|()| points)
 }
 
-fn point(file: &Path, place: usize, cursor: &mut Cursor) -> Result<Point, SceneError> {
+fn point(cursor: &mut Cursor) -> Result<([f64; 3], [u8; 3]), SceneError> {
     const RECORD: &str = "a point";
     cursor.u64(RECORD)?;
     let position = cursor.f64s(RECORD)?;
@@ -75,5 +77,5 @@ fn point(file: &Path, place: usize, cursor: &mut Cursor) -> Result<Point, SceneE
     cursor.f64s::<1>(RECORD)?;
     let track = cursor.count("track entries", TRACK_BYTES)?;
     cursor.skip("a point's track", track, TRACK_BYTES)?;
-    check::point(file, place, position, rgb)
+    Ok((position, rgb))
 }

@@ -1,4 +1,6 @@
 //! The rules that a record must meet in either form; both readers call these, so that both refuse the same files.
+//!
+//! What is not finite is left out and counted: programs write such numbers where they have found nothing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,12 +10,24 @@ use crate::error::SceneError;
 use crate::listing::{bad_pose, intrinsics_problem, position_problem};
 use crate::photos::Lens;
 use crate::scene::Point;
+use crate::shown;
+
+/// The records of a file that are finite.
+pub(crate) struct Finite<T> {
+    /// In file order.
+    pub(crate) records: Vec<T>,
+    /// What the user should know of the others, if there are any.
+    pub(crate) notice: Option<String>,
+}
+
+/// A camera's intrinsics, or why they cannot be: an error of the photos that have them.
+pub(crate) type Judged = Result<Intrinsics, SceneError>;
 
 /// The cameras of a file by their IDs, of which each may occur once.
 pub(super) fn by_id(
     file: &Path,
-    cameras: impl Iterator<Item = Result<(u32, Intrinsics), SceneError>>,
-) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+    cameras: impl Iterator<Item = Result<(u32, Judged), SceneError>>,
+) -> Result<BTreeMap<u32, Judged>, SceneError> {
     let mut by_id = BTreeMap::new();
     for read in cameras {
         let (camera, intrinsics) = read?;
@@ -30,7 +44,7 @@ pub(super) fn intrinsics(
     camera: u32,
     size: [u64; 2],
     ([fx, fy, cx, cy], lens): ([f64; 4], Option<Lens>),
-) -> Result<Intrinsics, SceneError> {
+) -> Judged {
     if let Some(problem) = intrinsics_problem(size.map(|side| side as f64), [fx, fy], [cx, cy]) {
         return Err(bad_camera(file, camera, problem));
     }
@@ -38,12 +52,36 @@ pub(super) fn intrinsics(
     Ok(Intrinsics { width, height, focal_px: [fx, fy], principal_px: [cx, cy], lens })
 }
 
-/// A pose that is a rotation and a finite translation.
-pub(super) fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
+/// The photos of a file, each with a pose that is a rotation and a finite translation.
+pub(super) fn images(
+    file: &Path,
+    all: impl Iterator<Item = Result<ImageRecord, SceneError>>,
+) -> Result<Finite<ImageRecord>, SceneError> {
+    let (mut records, mut lost) = (Vec::new(), Vec::new());
+    for image in all {
+        let image = image?;
+        match image.rotation.iter().chain(&image.translation).all(|value| value.is_finite()) {
+            true => records.push(pose(file, image)?),
+            false => lost.push(image.name),
+        }
+    }
+    let notice = match lost.first() {
+        Some(first) if records.is_empty() => return Err(bad_pose(file, first, "is not finite")),
+        Some(first) => Some(format!(
+            "{} of the {} photos that {} lists have a pose that is not finite and are left out, first {}",
+            lost.len(),
+            lost.len() + records.len(),
+            shown(file),
+            shown(first)
+        )),
+        None => None,
+    };
+    Ok(Finite { records, notice })
+}
+
+fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
     let norm = image.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let problem = if !image.rotation.iter().all(|v| v.is_finite()) {
-        Some("is not finite")
-    } else if norm < 1e-9 || !norm.is_finite() {
+    let problem = if norm < 1e-9 || !norm.is_finite() {
         Some("has a rotation that is zero or overflows")
     } else {
         // As far from the origin as the camera.
@@ -55,15 +93,30 @@ pub(super) fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, Scene
     }
 }
 
-/// The point at 1-based `place` of the file.
-pub(super) fn point(file: &Path, place: usize, position: [f64; 3], rgb: [u8; 3]) -> Result<Point, SceneError> {
-    if let Some(problem) = position_problem(position) {
-        let problem = format!("point {place} has a position that {problem}; remove it or reconstruct again");
-        return Err(SceneError::bad_record(file, problem));
+/// The points of a file: position in world units, and colour.
+pub(super) fn points(
+    file: &Path,
+    all: impl Iterator<Item = Result<([f64; 3], [u8; 3]), SceneError>>,
+) -> Result<Finite<Point>, SceneError> {
+    let (mut records, mut lost) = (Vec::new(), 0);
+    for (index, point) in all.enumerate() {
+        let (position, rgb) = point?;
+        match position_problem(position) {
+            None => records.push(Point { position: position.map(|v| v as f32), rgb }),
+            Some(_) if !position.iter().all(|v| v.is_finite()) => lost += 1,
+            Some(problem) => {
+                let place = index + 1;
+                let problem = format!("point {place} has a position that {problem}; remove it or reconstruct again");
+                return Err(SceneError::bad_record(file, problem));
+            }
+        }
     }
-    Ok(Point { position: position.map(|v| v as f32), rgb })
+    let all = lost + records.len();
+    let notice =
+        (lost > 0).then(|| format!("{lost} of the {all} points of {} are not finite and are left out", shown(file)));
+    Ok(Finite { records, notice })
 }
 
-pub(super) fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
-    SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem }
+pub(super) fn bad_camera(file: &Path, camera: u32, problem: impl Into<String>) -> SceneError {
+    SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem: problem.into() }
 }

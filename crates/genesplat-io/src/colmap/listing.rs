@@ -14,7 +14,7 @@ use crate::listing::{
 };
 use crate::photos::Lens;
 use crate::shown;
-use crate::similar::{self, Similar};
+use crate::similar::{self, Similar, entries};
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
 pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
@@ -26,6 +26,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
     }
     let mut notices = Vec::from_iter(other_models(&folder.path));
     let is_one_of_several = !notices.is_empty();
+    notices.append(&mut model.notices);
     let photos = find_photos(&model.images, image_folder, &list, &mut notices)?;
     if !is_one_of_several {
         notices.extend(left_out_notice(photos.iter().map(|(_, path)| &**path), &list));
@@ -78,20 +79,27 @@ fn find_photos<'a>(
         }
     }
     if let (true, Some(wanted)) = (found.is_empty(), missing.first()) {
-        return Err(all_missing(wanted, images.len(), list));
+        return Err(all_missing(wanted, images.len(), list, beside(&folder, &images[0].name).as_deref()));
     }
     notices.extend(similar_notice(similar, list));
     notices.extend(absent_notice(&missing, images.len(), list));
     Ok(found)
 }
 
-/// A notice where COLMAP split the photos into several models, of which only the largest is used.
+/// Another folder beside that of the photos, where the photo `name` is.
+fn beside(folder: &Path, name: &str) -> Option<PathBuf> {
+    let holds = |other: &PathBuf| other != folder && other.join(name).is_file();
+    entries(folder.parent()?).filter(holds).min()
+}
+
+/// A notice where COLMAP split the photos into several models, of which one is used.
 fn other_models(folder: &Path) -> Option<String> {
     let models = part_models(folder.parent().filter(|parent| parent.ends_with("sparse"))?);
     let is_one_of_several = models.len() > 1 && models.iter().any(|model| model.path == folder);
     is_one_of_several.then(|| {
         format!(
-            "COLMAP split the photos into {} models; only {}, the largest, is used, and photos of the others are left out",
+            "COLMAP split the photos into {} models; {} is used, the largest unless another one is given, and photos of the others \
+             are left out",
             models.len(),
             shown(folder)
         )

@@ -16,10 +16,11 @@ mod text;
 mod write;
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+pub(crate) use check::{Finite, Judged};
 pub(crate) use listing::list;
 pub use write::write_model;
 
@@ -47,12 +48,14 @@ impl Form {
 /// A reconstruction, as far as training needs it: 2D features and tracks are passed over.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
-    /// By COLMAP's camera id.
+    /// Those that took photos, by COLMAP's camera id.
     pub cameras: BTreeMap<u32, Intrinsics>,
     /// In file order.
     pub images: Vec<ImageRecord>,
     /// In file order.
     pub points: Vec<Point>,
+    /// What the user should know: one sentence each.
+    pub notices: Vec<String>,
 }
 
 /// A camera without its pose.
@@ -121,7 +124,8 @@ fn part_models(sparse: &Path) -> Vec<ModelFolder> {
     folders.iter().filter_map(|(_, folder)| model_in(folder)).collect()
 }
 
-fn model_in(folder: &Path) -> Option<ModelFolder> {
+/// The model whose files are in `folder` itself.
+pub(crate) fn model_in(folder: &Path) -> Option<ModelFolder> {
     let form = [Form::Binary, Form::Text].into_iter().find(|form| form.file(folder, "cameras").is_file())?;
     Some(ModelFolder { path: folder.to_owned(), form })
 }
@@ -144,27 +148,31 @@ fn image_count(model: &ModelFolder) -> u64 {
 
 /// Reads the three files of a model. Every record is checked, and no count is believed beyond the bytes that back it.
 pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
-    let points = read_points(folder)?;
-    Ok(Model { points, ..read_photos(folder)? })
+    let mut model = read_photos(folder)?;
+    let Finite { records, notice } = read_points(folder)?;
+    model.points = records;
+    model.notices.extend(notice);
+    Ok(model)
 }
 
 fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
     let [cameras, images] = ["cameras", "images"].map(|stem| folder.form.file(&folder.path, stem));
     let (camera_bytes, image_bytes) = (read(&cameras)?, read(&images)?);
-    Ok(Model {
-        cameras: parse_cameras(folder.form, &cameras, &camera_bytes)?,
-        images: parse_images(folder.form, &images, &image_bytes)?,
-        points: Vec::new(),
-    })
+    let judged = parse_cameras(folder.form, &cameras, &camera_bytes)?;
+    let Finite { records: images, notice } = parse_images(folder.form, &images, &image_bytes)?;
+    let used: BTreeSet<u32> = images.iter().map(|image| image.camera).collect();
+    let used = judged.into_iter().filter(|(id, _)| used.contains(id));
+    let cameras = used.map(|(id, judged)| Ok((id, judged?))).collect::<Result<_, SceneError>>()?;
+    Ok(Model { cameras, images, points: Vec::new(), notices: Vec::from_iter(notice) })
 }
 
-fn read_points(folder: &ModelFolder) -> Result<Vec<Point>, SceneError> {
+fn read_points(folder: &ModelFolder) -> Result<Finite<Point>, SceneError> {
     let file = points_file(folder);
     let ending = file.extension().and_then(|ending| ending.to_str());
     match ending {
         // Whoever knows the cameras from elsewhere may have none.
-        _ if !file.exists() => Ok(Vec::new()),
-        Some("ply") => Ok(ply::read_points(&file)?),
+        _ if !file.exists() => Ok(Finite { records: Vec::new(), notice: None }),
+        Some("ply") => Ok(Finite { records: ply::read_points(&file)?, notice: None }),
         Some("bin") => parse_points(Form::Binary, &file, &read(&file)?),
         _ => parse_points(Form::Text, &file, &read(&file)?),
     }
@@ -178,7 +186,7 @@ fn points_file(folder: &ModelFolder) -> PathBuf {
 }
 
 /// The cameras in the `bytes` of `file`, by their ids.
-pub(crate) fn parse_cameras(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+pub(crate) fn parse_cameras(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Judged>, SceneError> {
     match form {
         Form::Binary => binary::cameras(file, bytes),
         Form::Text => text::cameras(file, bytes),
@@ -186,7 +194,7 @@ pub(crate) fn parse_cameras(form: Form, file: &Path, bytes: &[u8]) -> Result<BTr
 }
 
 /// The photos in the `bytes` of `file`.
-pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
     match form {
         Form::Binary => binary::images(file, bytes),
         Form::Text => text::images(file, bytes),
@@ -194,7 +202,7 @@ pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Vec<
 }
 
 /// The points in the `bytes` of `file`.
-pub(crate) fn parse_points(form: Form, file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+pub(crate) fn parse_points(form: Form, file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
     match form {
         Form::Binary => binary::points(file, bytes),
         Form::Text => text::points(file, bytes),

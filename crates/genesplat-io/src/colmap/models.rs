@@ -40,7 +40,8 @@ pub(super) fn parameters(
         return Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() });
     };
     if parameters.len() != count {
-        return Err(bad_camera(file, camera, "has the wrong number of parameters"));
+        let problem = format!("has {} parameters, and {model} has {count}", parameters.len());
+        return Err(bad_camera(file, camera, problem));
     }
     let (pinhole, coefficients) = pinhole_and_rest(model, parameters);
     if !coefficients.iter().all(|value| value.is_finite()) {

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
 
-use super::{ImageRecord, Intrinsics, check, models};
+use super::check::{self, Finite, Judged};
+use super::{ImageRecord, models};
 use crate::error::SceneError;
 use crate::input::without_mark;
 use crate::scene::Point;
@@ -49,6 +50,14 @@ impl<'a> Fields<'a> {
         word.parse().map_err(|_| self.line.error(self.expected))
     }
 
+    fn numbers<const K: usize>(&mut self) -> Result<[f64; K], SceneError> {
+        let mut values = [0.0; K];
+        for value in &mut values {
+            *value = number(self.word()?).ok_or_else(|| self.line.error(self.expected))?;
+        }
+        Ok(values)
+    }
+
     fn array<T: FromStr + Copy + Default, const K: usize>(&mut self) -> Result<[T; K], SceneError> {
         let mut values = [T::default(); K];
         for value in &mut values {
@@ -69,49 +78,58 @@ fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Lin
     Ok(numbered.filter(|line| !line.text.trim_start().starts_with('#')))
 }
 
-pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+/// A number, or what programs for Windows write where there is none: `-nan(ind)`, `1.#IND`, `-1.#INF`.
+fn number(word: &str) -> Option<f64> {
+    let is_none = || {
+        let word = word.trim_start_matches(['-', '+']).to_lowercase();
+        word.starts_with("nan(") || word.starts_with("1.#")
+    };
+    word.parse().ok().or_else(|| is_none().then_some(f64::NAN))
+}
+
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Judged>, SceneError> {
     let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
     check::by_id(file, lines.map(camera))
 }
 
-fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {
+fn camera(line: Line) -> Result<(u32, Judged), SceneError> {
     let mut fields = line.fields(CAMERA);
     let id = fields.next()?;
     let model = fields.word()?;
     let size = fields.array()?;
     let parameters: Vec<f64> =
-        fields.words.map(|word| word.parse().map_err(|_| line.error(CAMERA))).collect::<Result<_, _>>()?;
-    let parameters = models::parameters(line.file, id, model, &parameters)?;
-    Ok((id, check::intrinsics(line.file, id, size, parameters)?))
+        fields.words.map(|word| number(word).ok_or_else(|| line.error(CAMERA))).collect::<Result<_, _>>()?;
+    let parameters = models::parameters(line.file, id, model, &parameters);
+    Ok((id, parameters.and_then(|parameters| check::intrinsics(line.file, id, size, parameters))))
 }
 
 /// `images.txt`: a pose on one line, features on the next; of the latter it is only checked that they are features.
-pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
     let mut lines = lines(file, bytes)?;
-    let mut images = Vec::new();
-    while let Some(line) = lines.find(|line| !line.text.trim().is_empty()) {
-        images.push(image(line)?);
-        lines.next().map_or(Ok(()), features)?;
-    }
-    Ok(images)
+    let next = || {
+        let line = lines.find(|line| !line.text.trim().is_empty())?;
+        let image = image(line);
+        Some(lines.next().map_or(Ok(()), features).and(image))
+    };
+    check::images(file, std::iter::from_fn(next))
 }
 
 /// Numbers in threes, or nothing: in a file without these lines, every other photo would be lost silently.
 fn features(line: Line) -> Result<(), SceneError> {
     let mut count = 0;
     let mut words = line.text.split_whitespace().inspect(|_| count += 1);
-    let are_numbers = words.all(|word| word.parse::<f64>().is_ok());
+    let are_numbers = words.all(|word| number(word).is_some());
     (are_numbers && count % 3 == 0).then_some(()).ok_or_else(|| line.error(FEATURES))
 }
 
 fn image(line: Line) -> Result<ImageRecord, SceneError> {
     let mut fields = line.fields(IMAGE);
     fields.next::<u64>()?;
-    let rotation = fields.array()?;
-    let translation = fields.array()?;
+    let rotation = fields.numbers()?;
+    let translation = fields.numbers()?;
     let camera = fields.next()?;
     let name = rest_after(line.text, 9).ok_or_else(|| line.error(IMAGE))?.to_owned();
-    check::pose(line.file, ImageRecord { name, camera, rotation, translation })
+    Ok(ImageRecord { name, camera, rotation, translation })
 }
 
 /// What follows the first `count` words, which may itself hold spaces (a photo's name); `None` if nothing does.
@@ -123,15 +141,13 @@ fn rest_after(text: &str, count: usize) -> Option<&str> {
     (!rest.is_empty()).then_some(rest)
 }
 
-pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
     let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
-    lines.enumerate().map(|(index, line)| point(index + 1, line)).collect()
+    check::points(file, lines.map(point))
 }
 
-fn point(place: usize, line: Line) -> Result<Point, SceneError> {
+fn point(line: Line) -> Result<([f64; 3], [u8; 3]), SceneError> {
     let mut fields = line.fields(POINT);
     fields.next::<u64>()?;
-    let position = fields.array()?;
-    let rgb = fields.array()?;
-    check::point(line.file, place, position, rgb)
+    Ok((fields.numbers()?, fields.array()?))
 }

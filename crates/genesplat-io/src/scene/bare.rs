@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::SceneError;
-use crate::plural;
 use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, entries, has_ending};
+use crate::{command_line, plural, shown};
 
 const ARCHIVES: [&str; 5] = ["tar", "gz", "tgz", "7z", "rar"];
 
@@ -28,6 +28,23 @@ pub(super) fn file(path: &Path) -> Option<SceneError> {
 pub(super) fn run(path: &Path) -> Option<SceneError> {
     let is_run = ["config.toml", "point_cloud.ply"].iter().all(|name| path.join(name).is_file());
     is_run.then(|| SceneError::invalid(path, "is the folder of a run; give the folder of a scene"))
+}
+
+/// Files and folders with the cameras of programs whose forms are not read: whose they are, and what to do.
+const CAMERAS: [(&str, &str, &str); 3] = [
+    ("cameras.xml", "Metashape", "export the cameras in COLMAP's form there"),
+    ("reconstruction.json", "OpenSfM", "run `opensfm export_colmap` on the dataset"),
+    ("keyframes", "Polycam", "run `ns-process-data polycam` of nerfstudio on it"),
+];
+
+/// What to do with the cameras of another program.
+pub(super) fn other_cameras(path: &Path) -> Option<SceneError> {
+    let (name, program, remedy) = CAMERAS.into_iter().find(|(name, ..)| path.join(name).exists())?;
+    let problem = format!(
+        "holds the cameras of {program} ({name}), which are not read; {remedy}, or find cameras anew with `{} --out SCENE`",
+        command_line(["genesplat", "poses", &shown(path)])
+    );
+    Some(SceneError::invalid(path, problem))
 }
 
 /// What to do with `path` where it is a video, or a folder that holds photos, itself or in a folder below it.

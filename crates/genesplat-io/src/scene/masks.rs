@@ -1,5 +1,5 @@
-//! Masks beside the photos of a scene: `masks/NAME.jpg.png` as COLMAP names them, `masks/NAME.jpg` or `masks/NAME.png` as
-//! nerfstudio does.
+//! Masks beside the photos of a scene, in `masks` or `mask`: `NAME.jpg.png` as COLMAP names them, `NAME.jpg` or `NAME.png` as
+//! nerfstudio does, `NAME.mask.png` as others.
 
 use std::path::{Path, PathBuf};
 
@@ -63,12 +63,10 @@ impl MaskUse {
     }
 }
 
-/// Gives each photo without a mask the one that lies in `scene/masks`, if any does.
+/// Gives each photo without a mask the one that lies in a folder of masks in `scene`, if any does.
 pub(super) fn find(listing: &mut Listing, scene: &Path) {
-    let folder = scene.join("masks");
-    if !folder.is_dir() {
-        return;
-    }
+    let folders = ["masks", "mask"].map(|name| scene.join(name));
+    let Some(folder) = folders.into_iter().find(|folder| folder.is_dir()) else { return };
     for photo in &mut listing.photos {
         photo.mask = photo.mask.take().or_else(|| mask_of(&folder, &photo.name));
     }
@@ -86,6 +84,8 @@ pub fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
     let below = name.split_once('/').map(|(_, below)| below);
     let stem = |name: &str| name.rsplit_once('.').map_or(name.to_owned(), |(stem, _)| stem.to_owned());
     let names = [Some(name), below, Some(base_name(name))].into_iter().flatten();
-    let candidates = names.flat_map(|name| [format!("{name}.png"), name.to_owned(), format!("{}.png", stem(name))]);
+    let candidates = names.flat_map(|name| {
+        [format!("{name}.png"), name.to_owned(), format!("{}.png", stem(name)), format!("{}.mask.png", stem(name))]
+    });
     candidates.map(|name| folder.join(name)).find(|path| path.is_file())
 }

@@ -8,6 +8,7 @@ mod place;
 pub(crate) mod precision;
 mod random_points;
 mod split;
+mod stray;
 mod view;
 
 use std::fs;
@@ -71,7 +72,7 @@ pub struct LoadOptions {
     pub mask: MaskUse,
     /// Near plane of all cameras, world units; `None` for the usual one, or a nearer one in a scene that is small.
     pub near: Option<f64>,
-    /// Folder of a COLMAP scene's photos, relative to the scene: some data sets ship `images_2`, `images_4`, ...
+    /// Folder of a COLMAP scene's photos, absolute or relative to the scene: some data sets ship `images_2`, `images_4`, ...
     pub image_folder: PathBuf,
     /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
     pub with_points: bool,
@@ -207,11 +208,17 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
             // What is not to be read looks as if it were not there.
             check_readable([path, &path.join("sparse"), &path.join("sparse/0"), &path.join(&options.image_folder)])?;
             let Some(scene) = place::of(path).filter(|scene| scene != path) else {
-                let known = || bare::run(path).or_else(|| bare::without_cameras(path)).or_else(|| bare::file(path));
+                let known = [bare::run, bare::other_cameras, bare::without_cameras, bare::file];
                 let is_unknown = matches!(error, SceneError::Unrecognised(_));
-                return Err(if is_unknown { known().unwrap_or(error) } else { error });
+                let known = known.into_iter().filter(|_| is_unknown).find_map(|known| known(path));
+                return Err(known.unwrap_or(error));
             };
-            let mut listing = checked(list_known(&scene, options)?, &scene, options)?;
+            // One of several reconstructions may have been given.
+            let listing = match colmap::model_in(path) {
+                Some(model) => colmap::list(&model, &scene.join(&options.image_folder), options.with_points)?,
+                None => list_known(&scene, options)?,
+            };
+            let mut listing = checked(listing, &scene, options)?;
             listing.notices.insert(0, format!("the scene is {}, of which a part was given", shown(&scene)));
             Ok(listing)
         }
@@ -237,6 +244,7 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
     listing.set_near(options.near);
     listing.check_not_shared()?;
     listing.name_views()?;
+    listing.notices.extend(stray::notice(&listing));
     if options.with_points && listing.points.is_empty() {
         listing.draw_points(options.seed);
     }

@@ -7,8 +7,10 @@ use crate::similar::entries;
 
 /// How far up or down a scene may be: from `colmap/sparse/0/images.bin`.
 const LEVELS: usize = 4;
+/// Folders of a level that are looked at, at most.
+const FOLDERS: usize = 1000;
 
-/// The scene that `path` is a part of, or the only one in the folders in it.
+/// The scene that `path` is a part of, or the only one of the first level below it that has any.
 pub(super) fn of(path: &Path) -> Option<PathBuf> {
     let whole = path.canonicalize().ok()?;
     above(&whole).or_else(|| below(path))
@@ -26,21 +28,17 @@ fn above(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).take(LEVELS).filter(is_part).find(|scene| is_scene(scene)).map(Path::to_owned)
 }
 
-/// An archive may hold a folder that holds the scene, or some, one in the other.
+/// An archive may hold a folder that holds the scene, or some, one in the other; COLMAP's workspace has one in `dense/0`.
 fn below(path: &Path) -> Option<PathBuf> {
-    let mut folder = path.to_owned();
+    let mut level = vec![path.to_owned()];
     for _ in 0..LEVELS {
-        if let Some(scene) = only(entries(&folder).filter(|inner| is_scene(inner))) {
-            return Some(scene);
+        level = level.iter().flat_map(|folder| entries(folder)).filter(|inner| inner.is_dir()).take(FOLDERS).collect();
+        let mut scenes = level.iter().filter(|folder| is_scene(folder));
+        if let Some(scene) = scenes.next() {
+            return scenes.next().is_none().then(|| scene.clone());
         }
-        folder = only(entries(&folder).filter(|inner| inner.is_dir()))?;
     }
     None
-}
-
-fn only(mut paths: impl Iterator<Item = PathBuf>) -> Option<PathBuf> {
-    let first = paths.next()?;
-    paths.next().is_none().then_some(first)
 }
 
 fn is_scene(folder: &Path) -> bool {

@@ -1,6 +1,7 @@
 //! Scenes far from their origin, as reconstructions in geographic coordinates are: single precision, in which splats are
 //! trained and stored, has steps there that are not small beside the scene.
 
+use genesplat_core::camera::mean_and_radius;
 use glam::DVec3;
 
 use crate::error::SceneError;
@@ -37,10 +38,8 @@ pub(super) fn check(listing: &Listing) -> Result<Option<String>, SceneError> {
 
 /// The largest coordinate, and the largest distance from the mean.
 fn reach(centres: &[DVec3]) -> (f64, f64) {
-    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-    centres.iter().fold((0.0, 0.0), |(distance, radius), centre| {
-        (f64::max(distance, centre.abs().max_element()), f64::max(radius, centre.distance(mean)))
-    })
+    let distance = centres.iter().map(|centre| centre.abs().max_element()).fold(0.0, f64::max);
+    (distance, mean_and_radius(centres).1)
 }
 
 /// The step of single precision at a coordinate, as a part of `radius`; `None` where cameras in one place say nothing of

@@ -1,6 +1,7 @@
 //! Points for scenes that come with none: uniform in a cube, grey.
 
-use genesplat_core::{Camera, Rng, Stream};
+use genesplat_core::camera::nearest_to_axes;
+use genesplat_core::{Camera, Rng, Stream, median};
 use glam::{DMat3, DVec3};
 
 use crate::scene::Point;
@@ -28,25 +29,16 @@ impl Cube {
         const PULL: f64 = 1e-2;
         let count = cameras.len() as f64;
         let centres: Vec<DVec3> = cameras.iter().map(Camera::centre_in_world).collect();
-        let axis = |camera: &Camera| camera.rotation().transpose() * DVec3::Z;
         let middle = centres.iter().sum::<DVec3>() / count;
         let spread = centres.iter().map(|centre| centre.distance(middle)).sum::<f64>() / count;
         // Cameras at one place say nothing of the scene's size.
         let length = if spread > 0.0 { spread } else { 1.0 };
-        let ahead = middle + length * (cameras.iter().map(axis).sum::<DVec3>() / count);
-        // Least squares of the distances to the axes: Σ (I − d dᵀ)(x − c) = 0.
-        let mut sum = DMat3::IDENTITY * (PULL * count);
-        let mut right = PULL * count * ahead;
-        for (camera, centre) in cameras.iter().zip(&centres) {
-            let d = axis(camera);
-            let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-            sum += across;
-            right += across * *centre;
-        }
-        let focus = sum.inverse() * right;
-        let mut distances: Vec<f64> = centres.iter().map(|centre| centre.distance(focus)).collect();
-        distances.sort_by(f64::total_cmp);
-        Self { centre: focus, half_side: distances[distances.len() / 2].max(1e-3 * length) }
+        let ahead = middle + length * (cameras.iter().map(Camera::axis_in_world).sum::<DVec3>() / count);
+        let pull = (DMat3::IDENTITY * (PULL * count), PULL * count * ahead);
+        let (matrix, right) = nearest_to_axes(cameras, pull);
+        let focus = matrix.inverse() * right;
+        let distance = median(centres.iter().map(|centre| centre.distance(focus))).unwrap_or(length);
+        Self { centre: focus, half_side: distance.max(1e-3 * length) }
     }
 
     /// [`COUNT`] points, the same for the same seed.

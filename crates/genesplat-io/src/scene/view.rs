@@ -195,7 +195,7 @@ fn no_pinhole(listed: &ListedPhoto) -> SceneError {
     SceneError::BadCamera {
         file: listed.list.to_path_buf(),
         camera: listed.name.clone(),
-        problem: "has distortion coefficients that cannot be undone",
+        problem: "has distortion coefficients that cannot be undone".into(),
     }
 }
 

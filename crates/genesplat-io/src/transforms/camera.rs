@@ -20,7 +20,11 @@ pub(super) fn camera(
 ) -> Result<(Camera, Option<Lens>), SceneError> {
     let (rotation, translation) = pose(list, entry)?;
     let lens = lens(list, intrinsics)?;
-    let bad = |problem| SceneError::BadCamera { file: list.to_owned(), camera: entry.file_path.clone(), problem };
+    let bad = |problem: &str| SceneError::BadCamera {
+        file: list.to_owned(),
+        camera: entry.file_path.clone(),
+        problem: problem.to_owned(),
+    };
     let [width, height] = match (intrinsics.w, intrinsics.h) {
         (Some(w), Some(h)) => [w, h],
         _ => photos::photo_size(photo).map(|(w, h)| [w, h].map(f64::from))?,

@@ -24,6 +24,9 @@ use crate::scene::Cube;
 use crate::similar::Similar;
 use crate::{ply, shown};
 
+/// Point clouds that may lie beside the list: nerfstudio's, those of converters, the reference trainer's.
+const BESIDE: [&str; 4] = ["sparse_pc.ply", "pointcloud.ply", "points3D.ply", "points3d.ply"];
+
 /// What the file name of a photo may end in beyond what a frame says.
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 
@@ -71,9 +74,9 @@ impl Found {
     fn into_listing(mut self, with_points: bool) -> Result<Listing, SceneError> {
         let folder = self.list.parent().unwrap_or(Path::new(""));
         if let (true, Some(wanted)) = (self.photos.is_empty(), self.missing.first()) {
-            return Err(all_missing(wanted, self.missing.len(), &self.list));
+            return Err(all_missing(wanted, self.missing.len(), &self.list, None));
         }
-        let points_file = match &self.points {
+        let mut points_file = match &self.points {
             Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(&self.list, name))?),
             None => self.list.clone(),
         };
@@ -86,6 +89,13 @@ impl Found {
         }
         if with_points && points.is_empty() {
             points = nested::points(folder, &self.photos).unwrap_or_default();
+        }
+        let beside = BESIDE.map(|name| folder.join(name)).into_iter().find(|file| file.is_file());
+        if let (true, Some(file)) = (with_points && points.is_empty(), beside) {
+            points = ply::read_points(&file)?;
+            self.notices
+                .push(format!("training starts from the points of {}, which the scene does not name", shown(&file)));
+            points_file = file;
         }
         Ok(Listing { photos: self.photos, points, points_file, cube: None, notices: self.notices })
     }

@@ -31,6 +31,7 @@ pub(crate) fn tiny_model(photos: usize) -> Model {
         cameras: [(7, intrinsics)].into(),
         images: (0..photos).map(image).collect(),
         points: (0..9).map(point).collect(),
+        notices: Vec::new(),
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::common::{SIZE, tiny_model, tiny_photo, write_form, write_scene};
 use genesplat_core::Photo;
-use genesplat_io::colmap::Form;
+use genesplat_io::colmap::{Form, Model};
 use genesplat_io::{LoadOptions, Scene, load_scene, photos};
 use tempfile::TempDir;
 
@@ -184,9 +184,59 @@ fn a_part_of_a_scene_stands_for_the_whole() {
     fs::create_dir_all(outermost.path().join("export/mine")).unwrap();
     fs::rename(outer.path().join("scene"), outermost.path().join("export/mine/scene")).unwrap();
     assert_eq!(found(outermost.path()).0, 3);
-    fs::create_dir(outermost.path().join("export/other")).unwrap();
+    write_scene(&outermost.path().join("export/other/scene"), Form::Text, &tiny_model(3));
     assert!(load(outermost.path()).is_err(), "two could be meant");
     fs::create_dir(folder.path()).unwrap();
+}
+
+/// COLMAP's dense workspace holds the photos without distortion, and their model; the model beside is of others.
+#[test]
+fn the_scene_in_a_workspace_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    write_form(&folder.path().join("sparse/0"), Form::Binary, &tiny_model(3));
+    write_scene(&folder.path().join("dense/0"), Form::Text, &tiny_model(3));
+    let (photos, notice) = found(folder.path());
+    assert!(photos == 3 && notice.contains("dense"), "{notice}");
+}
+
+#[test]
+fn one_of_several_models_is_used_as_it_was_given() {
+    let folder = tiny_scene(5);
+    let other = Model { images: tiny_model(5).images[..2].to_vec(), ..tiny_model(5) };
+    write_form(&folder.path().join("sparse/1"), Form::Text, &other);
+    let photos = |part: &str| {
+        let scene = load(&folder.path().join(part)).unwrap();
+        assert!(scene.notices.iter().any(|notice| notice.contains("split the photos into 2 models")));
+        scene.train.len() + scene.test.len()
+    };
+    assert_eq!(["", "sparse/0", "sparse/1"].map(photos), [5, 5, 2]);
+}
+
+#[test]
+fn photos_of_another_folder_are_taken_where_it_is_named() {
+    let folder = tiny_scene(3);
+    fs::rename(folder.path().join("images"), folder.path().join("images_4")).unwrap();
+    let sentence = load(folder.path()).unwrap_err();
+    assert!(sentence.contains("images_4 has photos of these names, so give --images images_4"), "{sentence}");
+    let options = LoadOptions { image_folder: "images_4".into(), ..LoadOptions::default() };
+    assert_eq!(load_scene(folder.path(), &options, &()).unwrap().train.len(), 2);
+}
+
+#[test]
+fn a_camera_far_from_all_others_is_told() {
+    let told = |at: f64| {
+        let mut model = tiny_model(5);
+        model.images[3].translation[0] = at;
+        let folder = tempfile::tempdir().unwrap();
+        write_scene(folder.path(), Form::Text, &model);
+        load(folder.path()).unwrap().notices
+    };
+    assert_eq!(told(20.0), Vec::<String>::new());
+    let notices = told(-3000.0);
+    assert!(
+        notices.len() == 1 && notices[0].starts_with("1 camera stands far from the others, 003.png"),
+        "{notices:?}"
+    );
 }
 
 #[test]
@@ -203,6 +253,17 @@ fn files_that_are_no_scene_are_told_apart() {
         fs::write(&path, "x").unwrap();
         let sentence = load(&path).unwrap_err();
         assert!(sentence.contains(name) && sentence.contains(says), "{sentence}");
+    }
+}
+
+#[test]
+fn cameras_of_other_programs_are_told_apart() {
+    for (name, says) in [("cameras.xml", "Metashape"), ("reconstruction.json", "opensfm export_colmap")] {
+        let folder = tempfile::tempdir().unwrap();
+        photos::write_png(&folder.path().join("images/0.png"), &tiny_photo(0, SIZE)).unwrap();
+        fs::write(folder.path().join(name), "x").unwrap();
+        let sentence = load(folder.path()).unwrap_err();
+        assert!(sentence.contains(name) && sentence.contains(says) && sentence.contains("poses"), "{sentence}");
     }
 }
 

@@ -48,6 +48,15 @@ fn masks_are_found_under_the_names_of_both_conventions() {
     assert_eq!(view.photo.read().unwrap().pixel(3, 3), tiny_photo(0, SIZE).pixel(3, 3));
 }
 
+#[test]
+fn masks_of_other_programs_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(2));
+    photos::write_png(&folder.path().join("mask/a b/000.mask.png"), &mask()).unwrap();
+    let scene = load(folder.path(), MaskUse::Usual).unwrap();
+    assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 1200]);
+}
+
 /// Black is not quite black in a JPEG.
 #[test]
 fn a_mask_that_is_a_jpeg_hides_what_is_dark() {

@@ -9,8 +9,8 @@ pub enum DensityControl {
     Adaptive,
     /// 3DGS-MCMC: relocate and add.
     Mcmc,
-    /// Selection: Improved-GS's, which mode `renew` takes over.
-    Selection,
+    /// Improved-GS, whose control mode `renew` takes over as selection.
+    ImprovedGs,
 }
 
 /// The defaults of a density control.
@@ -32,7 +32,7 @@ const OF_OTHERS: Defaults = Defaults {
     gradient_threshold: 2e-4,
     renew_until: 0.75,
 };
-const OF_SELECTION: Defaults = Defaults {
+const OF_IMPROVED_GS: Defaults = Defaults {
     position_rates: [4e-5, 2e-6],
     opacity_rate: 0.025,
     reset_opacity: 0.05,
@@ -47,17 +47,17 @@ impl TrainConfig {
         let evolution = &self.evolution;
         let selects = evolution.mode == EvolutionMode::Renew && evolution.renewal.selection;
         match self.variant {
-            Variant::ImprovedGs => DensityControl::Selection,
+            Variant::ImprovedGs => DensityControl::ImprovedGs,
             Variant::Mcmc => DensityControl::Mcmc,
             Variant::ThreeDgs | Variant::MipSplatting if selects && self.densify.signal == Signal::Published => {
-                DensityControl::Selection
+                DensityControl::ImprovedGs
             }
             Variant::ThreeDgs | Variant::MipSplatting | Variant::PixelGs => DensityControl::Adaptive,
         }
     }
 
     fn defaults(&self) -> &'static Defaults {
-        if self.density_control() == DensityControl::Selection { &OF_SELECTION } else { &OF_OTHERS }
+        if self.density_control() == DensityControl::ImprovedGs { &OF_IMPROVED_GS } else { &OF_OTHERS }
     }
 
     /// Rates of positions at the start and at the end, in scene extents.

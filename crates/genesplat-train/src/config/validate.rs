@@ -132,7 +132,7 @@ impl TrainConfig {
         let survives = densify.prune_opacity < self.reset_opacity();
         let wanted = "below densify.reset_opacity, or each reset empties the cloud";
         check("densify.prune_opacity", densify.prune_opacity, survives, wanted)?;
-        let recovers = self.density_control() != DensityControl::Selection || self.reset_opacity() > RECOVERED_OPACITY;
+        let recovers = self.density_control() != DensityControl::ImprovedGs || self.reset_opacity() > RECOVERED_OPACITY;
         let wanted = "above 0.02 with improved-gs or renew, which prune what is fainter soon after each reset";
         check("densify.reset_opacity", self.reset_opacity(), recovers, wanted)?;
         let is_alone = evolution.extra_steps.is_none() || evolution.mode == EvolutionMode::Off;

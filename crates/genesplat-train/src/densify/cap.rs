@@ -30,7 +30,7 @@ impl Cap {
     pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
         let published = match config.density_control() {
             DensityControl::Mcmc => Some(mcmc::DEFAULT_CAP),
-            DensityControl::Selection => Some(improved::DEFAULT_CAP),
+            DensityControl::ImprovedGs => Some(improved::DEFAULT_CAP),
             DensityControl::Adaptive => None,
         };
         let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);

@@ -54,7 +54,7 @@ impl Trainer<'_> {
                 Ok(adaptive::plan(&statistics, &self.finite_genes()?, &rules, self.rng, i))
             }
             DensityControl::Mcmc => Ok(mcmc::plan(&self.finite_genes()?, &self.mcmc_rules(), self.rng, i)),
-            DensityControl::Selection => self.plan_improved(i),
+            DensityControl::ImprovedGs => self.plan_improved(i),
         }
     }
 
@@ -85,7 +85,7 @@ impl Trainer<'_> {
 pub(crate) fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
     match (config.density_control(), config.densify.signal) {
         (DensityControl::Mcmc, _) => None,
-        (DensityControl::Selection, _) => Some(DensitySignal::Absolute),
+        (DensityControl::ImprovedGs, _) => Some(DensitySignal::Absolute),
         (DensityControl::Adaptive, _) if config.variant == Variant::PixelGs => {
             Some(DensitySignal::PixelWeighted { depth_threshold: (PIXEL_GS_DEPTH * extent) as f32 })
         }

@@ -61,7 +61,7 @@ fn notice_of_kept_intervals(config: &TrainConfig, schedule: &Schedule) -> Option
     let intervals = [
         Some(("densify.every", config.densify.every, schedule.densify_every)),
         Some(("densify.reset_every", config.densify.reset_every, schedule.reset_every)),
-        Some(recovery).filter(|_| config.density_control() == DensityControl::Selection),
+        Some(recovery).filter(|_| config.density_control() == DensityControl::ImprovedGs),
     ];
     let shorter = |given: u32| (f64::from(given) * config.steps_scale).round() as u32;
     let kept: Vec<String> = intervals

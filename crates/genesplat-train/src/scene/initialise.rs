@@ -6,9 +6,10 @@
 
 use std::ops::Range;
 
+use genesplat_core::camera::mean_and_radius;
 use genesplat_core::gaussians::logit;
 use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
-use genesplat_core::{Camera, Gaussians, morton_order};
+use genesplat_core::{Camera, Gaussians, median, morton_order};
 use glam::DVec3;
 
 use super::nearest::mean_squared_distances;
@@ -138,8 +139,7 @@ pub fn in_spatial_order(points: &[ColouredPoint]) -> Vec<ColouredPoint> {
 /// The position rate and every size threshold of density control are multiples of it.
 pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64, InitialiseError> {
     let centres: Vec<DVec3> = cameras.map(Camera::centre_in_world).collect();
-    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
+    let (mean, radius) = mean_and_radius(&centres);
     // Poses are read from decimal text: a radius at rounding level means "one place".
     let rounding = 1e-9 * (1.0 + mean.length());
     if radius > rounding {
@@ -172,9 +172,7 @@ pub(crate) fn median_depth<'a>(
         let positions = points.iter().step_by(every_point).map(|(position, _)| DVec3::from(position.map(f64::from)));
         positions.map(|position| camera.camera_from_world(position).z)
     };
-    let mut depths: Vec<f64> = cameras.flat_map(depths_from).filter(|&depth| depth > 0.0).collect();
-    depths.sort_unstable_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied()
+    median(cameras.flat_map(depths_from).filter(|&depth| depth > 0.0))
 }
 
 #[cfg(test)]

@@ -196,17 +196,17 @@ fn within(views: Vec<VirtualView>, bytes: usize) -> Vec<VirtualView> {
 }
 
 /// The nearest neighbours of a view.
-fn nearest(views: &[View], view: usize, depth: f64) -> Vec<usize> {
-    let distance = |b: usize| distance(&views[view].camera, &views[b].camera, depth);
+fn nearest(views: &[View], view: usize, extent: f64) -> Vec<usize> {
+    let distance = |b: usize| distance(&views[view].camera, &views[b].camera, extent);
     let mut others: Vec<_> = (0..views.len()).filter(|&b| b != view).map(|b| (distance(b), b)).collect();
     others.sort_by(|(x, _), (y, _)| x.total_cmp(y));
     others.into_iter().take(NEIGHBOURS).map(|(_, b)| b).collect()
 }
 
-/// Between the places of two cameras, and between what they look at.
-fn distance(a: &Camera, b: &Camera, depth: f64) -> f64 {
+/// Between the places of two cameras, and between what they look at, an extent of the scene ahead of them.
+fn distance(a: &Camera, b: &Camera, extent: f64) -> f64 {
     let [from, to] = [a, b].map(Camera::centre_in_world);
-    let target = |camera: &Camera| camera.centre_in_world() + depth * camera.rotation().row(2);
+    let target = |camera: &Camera| camera.centre_in_world() + extent * camera.axis_in_world();
     from.distance(to) + target(a).distance(target(b))
 }
 

@@ -138,7 +138,7 @@ impl Schedule {
     pub(crate) fn new(config: TrainConfig) -> Self {
         let renews = config.evolution.mode == EvolutionMode::Renew;
         let iterations = (f64::from(config.iterations) * config.steps_scale).round().max(1.0);
-        let fits = renews && config.density_control() == DensityControl::Selection;
+        let fits = renews && config.density_control() == DensityControl::ImprovedGs;
         let scale = if fits { iterations / PUBLISHED_ITERATIONS } else { config.steps_scale };
         let iterations = iterations as u32;
         let scaled = |steps: u32| (f64::from(steps) * scale).round() as u32;
@@ -249,7 +249,9 @@ impl Schedule {
 
     /// Oversized Gaussians are pruned in iteration `i`: neither by selection nor in mode `renew`.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after && self.config.density_control() != DensityControl::Selection && !self.is_renew_mode()
+        i > self.size_prune_after
+            && self.config.density_control() != DensityControl::ImprovedGs
+            && !self.is_renew_mode()
     }
 
     /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control.

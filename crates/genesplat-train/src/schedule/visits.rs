@@ -54,7 +54,7 @@ impl Schedule {
 
     fn may_have_virtual_views(&self) -> bool {
         let evolution = &self.config.evolution;
-        let selects = self.config.density_control() == DensityControl::Selection;
+        let selects = self.config.density_control() == DensityControl::ImprovedGs;
         evolution.mode == EvolutionMode::Renew && evolution.renewal.virtual_views.unwrap_or(selects)
     }
 

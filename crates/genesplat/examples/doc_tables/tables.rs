@@ -268,6 +268,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
         });
         let gain = |measured: &[(&Run, &Run)], mark: &str| {
             let gain = difference(measured, "psnr");
+            let mark = if gain.exceeds_spread() { mark } else { "" };
             let fewer = if measured.len() < pairs.len() { format!(" (of {})", measured.len()) } else { String::new() };
             gain.mean(|mean| format!("{mark}{mean:+.2}{mark}{}{fewer}", gain.plus_minus()))
         };
@@ -375,14 +376,22 @@ impl Figures {
         self.average().map_or_else(String::new, write)
     }
 
-    /// Their standard deviation (n − 1), empty for less than two.
-    fn plus_minus(&self) -> String {
-        let Some(degrees) = self.0.len().checked_sub(1).filter(|&degrees| degrees > 0) else {
-            return String::new();
-        };
-        let mean = self.average().unwrap_or_default();
+    /// Their standard deviation (n − 1); `None` for less than two.
+    fn spread(&self) -> Option<f64> {
+        let degrees = self.0.len().checked_sub(1).filter(|&degrees| degrees > 0)?;
+        let mean = self.average()?;
         let squares: f64 = self.0.iter().map(|value| (value - mean).powi(2)).sum();
-        format!(" ± {:.2}", (squares / degrees as f64).sqrt())
+        Some((squares / degrees as f64).sqrt())
+    }
+
+    /// Whether the mean is above what single measurements may be off by.
+    fn exceeds_spread(&self) -> bool {
+        self.average().zip(self.spread()).is_some_and(|(mean, spread)| mean > spread)
+    }
+
+    /// Empty for less than two.
+    fn plus_minus(&self) -> String {
+        self.spread().map_or_else(String::new, |spread| format!(" ± {spread:.2}"))
     }
 }
 

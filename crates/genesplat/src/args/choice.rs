@@ -108,13 +108,17 @@ pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
 
 /// `--mask`.
 pub(crate) const MASKS: &[Choice<MaskUse>] = &[
-    (MaskUse::Usual, &["usual"], "Pixels that masks hide count for nothing, and what is transparent is background"),
+    (MaskUse::Usual, &["usual"], "What masks hide does not count; what is transparent is background"),
     (
         MaskUse::Ignore,
         &["ignore"],
-        "Hidden pixels count for nothing, in training and in scores: people, cars, your own hand",
+        "Neither what masks hide nor what is transparent counts, in training and in scores: people, cars, your own hand",
     ),
-    (MaskUse::Transparent, &["transparent"], "Hidden pixels must be background: an object cut out of its photos"),
+    (
+        MaskUse::Transparent,
+        &["transparent"],
+        "What masks hide and what is transparent must be background: an object cut out of its photos",
+    ),
 ];
 
 /// `--densify-signal`.

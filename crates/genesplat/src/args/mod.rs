@@ -198,7 +198,8 @@ pub(crate) struct DemoArgs {
     /// What the second run evolves with
     #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION), default_value = "renew")]
     pub(crate) evolve: EvolutionMode,
-    /// Seed of the scene and of both runs. Same seed, same bytes
+    /// Seed of the scene and of both runs. Same seed, same bytes, with one build on
+    /// CPUs of one kind
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(SEEDS))]
     pub(crate) seed: u64,
     #[command(flatten)]
@@ -209,9 +210,9 @@ pub(crate) struct DemoArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
-    /// Folder of the scene with the photos to compare with
+    /// Folder of the scene with the photos to compare with [default: that of the RUN; a SPLAT needs it]
     #[arg(long, value_name = "DATASET")]
-    pub(crate) data: PathBuf,
+    pub(crate) data: Option<PathBuf>,
     /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that it saw
     #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
     pub(crate) split: Split,
@@ -226,9 +227,9 @@ pub(crate) struct EvaluateArgs {
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split", "path"])))]
 pub(crate) struct RenderArgs {
-    /// Folder of the scene with the cameras to render from
+    /// Folder of the scene with the cameras to render from [default: that of the RUN; a SPLAT needs it]
     #[arg(long, value_name = "DATASET")]
-    pub(crate) data: PathBuf,
+    pub(crate) data: Option<PathBuf>,
     /// Render the viewpoint of one photo, by its file name
     #[arg(long, value_name = "NAME")]
     pub(crate) image: Option<String>,
@@ -257,9 +258,9 @@ pub(crate) struct RefineArgs {
     /// unless a flag says otherwise; --downscale divides the size that they had there
     #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
-    /// Folder of the scene that it shows
+    /// Folder of the scene that it shows [default: that of the RUN; a SPLAT needs it]
     #[arg(long, value_name = "DATASET")]
-    pub(crate) data: PathBuf,
+    pub(crate) data: Option<PathBuf>,
     /// The splat to write, in the format that its name ends in. Ctrl-C ends the refinement, and what it has reached so
     /// far is written
     #[arg(long, value_name = "FILE")]
@@ -272,7 +273,8 @@ pub(crate) struct RefineArgs {
     pub(crate) evolve: Option<EvolutionMode>,
     #[command(flatten)]
     pub(crate) search: SearchArgs,
-    /// Seed of all random numbers [default: 0]. Same seed, same bytes
+    /// Seed of all random numbers [default: 0]. Same seed, same bytes, with one build on
+    /// CPUs of one kind
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     pub(crate) seed: Option<u64>,
     /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names do not

@@ -15,6 +15,9 @@ use crate::settings::Dataset;
 pub(crate) struct PhotosArgs {
     #[command(flatten)]
     pub(crate) size: SizeArgs,
+    /// Folder of a COLMAP scene's photos, below the scene's or anywhere, such as images_4 [default: images]
+    #[arg(long, value_name = "FOLDER", help_heading = MORE)]
+    images: Option<PathBuf>,
     #[command(flatten)]
     hold_out: HoldOutArgs,
     /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and transparency mean
@@ -62,6 +65,7 @@ impl PhotosArgs {
         if self.size.size().is_some() {
             (dataset.max_side, dataset.downscale) = (self.size.max_side, self.size.downscale);
         }
+        dataset.images = self.images.clone().or(dataset.images.take());
         dataset.mask = self.mask.unwrap_or(dataset.mask);
         dataset.near = self.near.or(dataset.near);
         if let Some(hold_out) = self.hold_out.asked()? {

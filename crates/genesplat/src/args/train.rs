@@ -81,8 +81,8 @@ pub(crate) struct ScheduleArgs {
     /// Method: the original, or one of four improvements on it [default: 3dgs]
     #[arg(long, value_name = "METHOD", value_parser = choice(VARIANTS))]
     variant: Option<Variant>,
-    /// Training steps, one photo each [default: 30000]. More is better and slower; with --evolve renew the whole schedule
-    /// fits into them, so 7000 is a good quick run; published trainers are cut short
+    /// Training steps, one photo each [default: 30000]. More is slower and mostly better; with a few dozen photos 7000 may be
+    /// as good. With --evolve renew the whole schedule fits into them; published trainers are cut short
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
     /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square root; makes
@@ -93,7 +93,7 @@ pub(crate) struct ScheduleArgs {
     /// a tenth of the steps; no interval gets shorter than 100
     #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
     steps_scale: Option<f64>,
-    /// Seed of all random numbers [default: 0]. Same seed, same bytes
+    /// Seed of all random numbers [default: 0]. Same seed, same bytes, with one build on CPUs of one kind
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
     /// Train at most this many Gaussians, from the first step on [default: the cloud grows to as many as the photos can

@@ -26,14 +26,15 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
-    let scene = splat.load_scene(&args.data, &args.splat.photos)?;
+    let data = splat.scene_path(args.data.as_deref())?;
+    let scene = splat.load_scene(&data, &args.splat.photos)?;
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),
         Split::Train => (&scene.train, Split::Test),
     };
     if views.is_empty() {
-        bail!("{} has no {name} photos; use --split {}", shown(&args.data), other.name());
+        bail!("{} has no {name} photos; use --split {}", shown(&data), other.name());
     }
     if args.split == Split::Test {
         photos::check_test_photos(&args.splat.path, &scene)?;

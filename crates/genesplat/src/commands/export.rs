@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Backend, Camera, RenderSettings, View};
 use genesplat::io::format::{self, Options, SpzVersion};
-use genesplat::io::{Format, Scene, plural, shown};
+use genesplat::io::{Format, Scene, ending, plural, shown};
 use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
 use genesplat::viewer::{Framing, Split};
 
@@ -18,7 +18,7 @@ use crate::{device, files, splat};
 
 /// Browsers tell a page by its name.
 pub(crate) fn check_name(out: &Path) -> Result<()> {
-    let is_page = out.extension().is_some_and(|end| end.eq_ignore_ascii_case("html"));
+    let is_page = ending(out) == "html";
     ensure!(is_page, "{} would not open as a page; end its name in .html", shown(out));
     Ok(())
 }

@@ -26,20 +26,21 @@ const ITERATIONS: u32 = 2000;
 pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
-    let config = configure(args, &splat)?;
-    check(args, &splat, config.config())?;
-    splat.settings = config.render_settings();
-    let scene = splat.load_scene(&args.data, &args.photos)?;
+    let (data, schedule) = (splat.scene_path(args.data.as_deref())?, configure(args, &splat)?);
+    check_hidden(splat.mask(&data, &args.photos)?, schedule.config().background)?;
+    check(args, schedule.config())?;
+    splat.settings = schedule.render_settings();
+    let scene = splat.load_scene(&data, &args.photos)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag()?;
     let mut device = device::open(args.machine.device.unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
     print_scores("before", &mut device, &scene, &splat.settings)?;
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
-    let outcome: Outcome = if config.config().evolution.mode == EvolutionMode::Paper {
-        search(device.as_mut(), views, splat.cloud, &config, &mut reporter, &stop)?
+    let outcome: Outcome = if schedule.config().evolution.mode == EvolutionMode::Paper {
+        search(device.as_mut(), views, splat.cloud, &schedule, &mut reporter, &stop)?
     } else {
-        train(device.as_mut(), views, Start::Cloud(splat.cloud), &config, &mut reporter, &stop)?
+        train(device.as_mut(), views, Start::Cloud(splat.cloud), &schedule, &mut reporter, &stop)?
     };
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
     let format = files::format_of(&args.out)?;
@@ -92,8 +93,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Schedule> {
 }
 
 /// Fails where something that is asked for cannot be, or would not count.
-fn check(args: &RefineArgs, splat: &Splat, train: &TrainConfig) -> Result<()> {
-    check_hidden(splat.mask(&args.data, &args.photos)?, train.background)?;
+fn check(args: &RefineArgs, train: &TrainConfig) -> Result<()> {
     ensure!(
         args.iterations.is_none() || train.evolution.mode != EvolutionMode::Paper,
         "--iterations counts gradient steps, and the paper's search makes none; give --generations instead"

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Result, anyhow, ensure};
 use genesplat::core::{Photo, View};
-use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, photos, plural, shown};
+use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, ending, photos, plural, shown};
 
 use super::Ending;
 use super::render_path::{self, is_film};
@@ -49,17 +49,18 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     device::use_threads(args.splat.machine.threads)?;
     let stop = interrupt::stop_flag_saying(STOPPING)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
-    let scene = splat.load_scene(&args.data, &args.splat.photos)?;
+    let data = splat.scene_path(args.data.as_deref())?;
+    let scene = splat.load_scene(&data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
         let has_some = !scene.test.is_empty();
-        ensure!(has_some, "{} has no test photos; use --split train", shown(&args.data));
+        ensure!(has_some, "{} has no test photos; use --split train", shown(&data));
         check_test_photos(&args.splat.path, &scene)?;
     }
     let jobs = match &args.image {
         Some(name) => {
-            let name = splat.view_name(name, &args.data, &args.splat.photos)?;
-            vec![(find(&scene, &name, &args.data)?, args.out.clone())]
+            let name = splat.view_name(name, &data, &args.splat.photos)?;
+            vec![(find(&scene, &name, &data)?, args.out.clone())]
         }
         None => {
             let views = chosen(scene, args.split.unwrap_or(RenderSplit::All));
@@ -88,10 +89,6 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     }
     output::print(&format!("{done} {pictures} written to {out}"))?;
     Ok(Ending::Whole)
-}
-
-fn ending(path: &Path) -> String {
-    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
 fn is_jpeg(path: &Path) -> bool {

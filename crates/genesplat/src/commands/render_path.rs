@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Camera, Photo};
-use genesplat::io::{Scene, input, photos, shown};
+use genesplat::io::{Scene, ending, input, photos, shown};
 use genesplat::viewer::path::CameraPath;
 
 use super::Ending;
@@ -30,7 +30,8 @@ pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
     device::use_threads(args.splat.machine.threads)?;
     let stop = interrupt::stop_flag_saying(STOPPING)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
-    let scene = splat.load_scene(&args.data, &args.splat.photos)?;
+    let data = splat.scene_path(args.data.as_deref())?;
+    let scene = splat.load_scene(&data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     let cameras = cameras(choice, &scene, args.frames.unwrap_or(FRAMES))?;
     let mut sink = Sink::open(&args.out, &cameras)?;
@@ -80,8 +81,7 @@ fn cameras(choice: &PathChoice, scene: &Scene, frames: u32) -> Result<Vec<Camera
 
 /// Whether ffmpeg makes this file.
 pub(crate) fn is_film(path: &Path) -> bool {
-    let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    ["mp4", "gif"].contains(&end.as_str())
+    ["mp4", "gif"].contains(&ending(path).as_str())
 }
 
 enum Sink {
@@ -200,7 +200,7 @@ fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
         "-i",
         "-",
     ]);
-    if out.extension().is_some_and(|end| end.eq_ignore_ascii_case("gif")) {
+    if ending(out) == "gif" {
         command.args(["-filter_complex", "split[a][b];[a]palettegen[p];[b][p]paletteuse"]);
     } else {
         command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart"]);

@@ -211,7 +211,7 @@ mod tests {
         assert_eq!(named(&experiment), [("off", None), ("one", None), controls[0], controls[1]]);
         let settings = |arm| {
             let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
-            experiment.settings(cell, Path::new("a"), MachineArgs::default(), Some(10.0)).unwrap().train
+            experiment.settings(cell, Path::new("a"), MachineArgs::default(), Some(10.0)).unwrap().schedule
         };
         let (one, control) = (settings(1), settings(2));
         let (one, control) = (one.config(), control.config());
@@ -252,7 +252,7 @@ mod tests {
                 let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
                 let machine = MachineArgs::default();
                 let settings = experiment.settings(cell, Path::new("a"), machine, Some(8.0)).unwrap();
-                let evolution = &settings.train.config().evolution;
+                let evolution = &settings.schedule.config().evolution;
                 (evolution.trigger, evolution.extra_steps)
             })
             .collect()

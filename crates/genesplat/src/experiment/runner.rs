@@ -179,7 +179,7 @@ impl<'a> Runner<'a> {
 
     /// The scene of a cell, at the size and on the background that it is trained with.
     pub(crate) fn load(&self, cell: Cell, settings: &Settings) -> Result<Scene> {
-        let (path, config) = (self.scene_path(cell.scene), settings.train.config());
+        let (path, config) = (self.scene_path(cell.scene), settings.schedule.config());
         if self.experiment.file.scenes[cell.scene] == BUNDLED && !self.has_gallery.load(Ordering::Relaxed) {
             gallery::generate(&self.experiment.file.gallery.options()).write_colmap(&path)?;
             self.has_gallery.store(true, Ordering::Relaxed);
@@ -245,7 +245,7 @@ struct Loaded {
 
 impl Scenes {
     fn get(&mut self, runner: &Runner<'_>, cell: Cell, settings: &Settings) -> Result<&Scene> {
-        let config = settings.train.config();
+        let config = settings.schedule.config();
         let key = (cell.scene, settings.dataset.size(), config.background.fixed_colour().map(f32::to_bits));
         let loaded = match self.0.take().filter(|loaded| loaded.key == key) {
             Some(loaded) => loaded,

@@ -1,12 +1,12 @@
 //! Cameras that cannot be right: one that sees nothing, one far from all others, a scene before the near plane.
 
 use genesplat::core::constants::NEAR_DEPTH;
-use genesplat::core::{Camera, View};
+use genesplat::core::{Camera, View, median};
 use genesplat::io::Point;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{listed, median};
+use super::listed;
 
 /// A camera is far away where its nearest neighbour is so many times farther than usual.
 const FAR: f64 = 15.0;
@@ -18,18 +18,18 @@ const POINTS_MAX: usize = 20_000;
 const VISIBLE_MIN: f64 = 0.5;
 
 /// What the cameras see of the points.
-pub(super) struct Sight {
+pub(super) struct PointsSeen {
     /// Points in each photo; of a scene with more than [`POINTS_MAX`] an estimate.
-    pub(super) points_seen: Vec<usize>,
+    pub(super) counts: Vec<usize>,
     /// Median depth of what is seen, world units.
     pub(super) depth: Option<f64>,
-    /// Fraction of the points in front of a camera that are behind its near plane, over all cameras.
-    behind_near_plane: f64,
+    /// Of the points in front of a camera the fraction that is drawn, beyond its near plane, over all cameras.
+    drawn_fraction: f64,
     /// The near plane of all cameras, world units.
     near: f64,
 }
 
-pub(super) fn sight(views: &[&View], points: &[Point]) -> Sight {
+pub(super) fn points_seen(views: &[&View], points: &[Point]) -> PointsSeen {
     let every = points.len().div_ceil(POINTS_MAX).max(1);
     let positions: Vec<DVec3> =
         points.iter().step_by(every).map(|point| Vec3::from(point.position).as_dvec3()).collect();
@@ -38,9 +38,9 @@ pub(super) fn sight(views: &[&View], points: &[Point]) -> Sight {
     let is_visible = |depth: &&f64| **depth > near;
     let all: Vec<f64> = depths.iter().flatten().copied().collect();
     let visible = all.iter().filter(is_visible).count() as f64;
-    Sight {
-        points_seen: depths.iter().map(|depths| every * depths.iter().filter(is_visible).count()).collect(),
-        behind_near_plane: if all.is_empty() { 1.0 } else { visible / all.len() as f64 },
+    PointsSeen {
+        counts: depths.iter().map(|depths| every * depths.iter().filter(is_visible).count()).collect(),
+        drawn_fraction: if all.is_empty() { 1.0 } else { visible / all.len() as f64 },
         depth: median(all),
         near,
     }
@@ -57,27 +57,27 @@ fn depths_in_photo(camera: &Camera, positions: &[DVec3]) -> Vec<f64> {
     positions.iter().filter_map(depth).collect()
 }
 
-pub(super) fn warnings(views: &[&View], sight: &Sight) -> Vec<String> {
-    [too_small(sight), blind(views, sight), far_away(views)].into_iter().flatten().collect()
+pub(super) fn warnings(views: &[&View], seen: &PointsSeen) -> Vec<String> {
+    [too_small(seen), blind(views, seen), far_away(views)].into_iter().flatten().collect()
 }
 
-fn too_small(sight: &Sight) -> Option<String> {
-    let depth = sight.depth?;
-    (sight.behind_near_plane < VISIBLE_MIN).then(|| {
+fn too_small(seen: &PointsSeen) -> Option<String> {
+    let depth = seen.depth?;
+    (seen.drawn_fraction < VISIBLE_MIN).then(|| {
         format!(
             "{:.0} % of what the photos show is nearer than the near plane at {} (half of it is nearer than {depth:.3}), and is \
              not drawn: give a smaller --near",
-            100.0 * (1.0 - sight.behind_near_plane),
-            sight.near
+            100.0 * (1.0 - seen.drawn_fraction),
+            seen.near
         )
     })
 }
 
-fn blind(views: &[&View], sight: &Sight) -> Option<String> {
-    let seen = views.iter().zip(&sight.points_seen);
+fn blind(views: &[&View], seen: &PointsSeen) -> Option<String> {
+    let counts = views.iter().zip(&seen.counts);
     let names: Vec<&str> =
-        seen.filter(|(_, points)| **points < POINTS_MIN).map(|(view, _)| view.name.as_str()).collect();
-    (!names.is_empty() && sight.behind_near_plane >= VISIBLE_MIN).then(|| {
+        counts.filter(|(_, points)| **points < POINTS_MIN).map(|(view, _)| view.name.as_str()).collect();
+    (!names.is_empty() && seen.drawn_fraction >= VISIBLE_MIN).then(|| {
         format!(
             "{} of {} photos see fewer than {POINTS_MIN} points ({}): their poses are wrong, or they show something else",
             names.len(),
@@ -135,7 +135,7 @@ pub(super) mod tests {
             |at: u16| Point { position: [f32::from(at % 5), f32::from(at / 5), 20.0].map(|x| x * scale), rgb: [0; 3] };
         let points: Vec<Point> = (0..25).map(point).collect();
         let views: Vec<&View> = views.iter().collect();
-        warnings(&views, &sight(&views, &points))
+        warnings(&views, &points_seen(&views, &points))
     }
 
     #[test]

@@ -3,13 +3,12 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, Stream, View};
+use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, Stream, View, median};
 use genesplat::io::{Point, Scene};
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::scene::initialise::cloud_from_points;
 use genesplat::train::{Schedule, expected_gaussians, virtual_picture_bytes};
 
-use super::median;
 use crate::commands::bench::step_at_rest;
 use crate::scene;
 
@@ -32,11 +31,11 @@ pub(super) struct Cost {
 }
 
 /// Of a run with these settings on this machine's CPU.
-pub(super) fn estimate(scene: &Scene, settings: &Schedule) -> Result<Cost> {
-    let gaussians = expected_gaussians(settings.config(), &scene.train).max(scene.points.len());
+pub(super) fn estimate(scene: &Scene, schedule: &Schedule) -> Result<Cost> {
+    let gaussians = expected_gaussians(schedule.config(), &scene.train).max(scene.points.len());
     let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
     let photo_bytes =
-        (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY) + virtual_picture_bytes(settings, &scene.train) as u64;
+        (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY) + virtual_picture_bytes(schedule, &scene.train) as u64;
     let last_step_seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,

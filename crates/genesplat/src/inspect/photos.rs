@@ -1,10 +1,10 @@
 //! Photos that harm a reconstruction: blurred, overexposed, or there twice.
 
-use genesplat::core::{Photo, PhotoLost, View};
+use genesplat::core::{Photo, PhotoLost, View, median};
 use genesplat::train::scene::surroundings::are_on_white;
 use rayon::prelude::*;
 
-use super::{listed, median};
+use super::listed;
 use crate::sharpness::laplacian_variance;
 
 /// A photo is blurred where its edges have less than this fraction of the usual energy.
@@ -41,7 +41,7 @@ pub(super) fn warnings(views: &[&View]) -> Result<Vec<String>, PhotoLost> {
 }
 
 fn blurred(views: &[&View], measures: &[Measures]) -> Option<String> {
-    let usual = median(measures.iter().map(|photo| photo.sharpness).collect())?;
+    let usual = median(measures.iter().map(|photo| photo.sharpness))?;
     let names = those(views, measures, |photo| photo.sharpness < BLURRED * usual);
     (!names.is_empty()).then(|| {
         format!(
@@ -54,7 +54,7 @@ fn blurred(views: &[&View], measures: &[Measures]) -> Option<String> {
 }
 
 fn overexposed(views: &[&View], measures: &[Measures]) -> Option<String> {
-    let usual = median(measures.iter().map(|photo| photo.white).collect())?;
+    let usual = median(measures.iter().map(|photo| photo.white))?;
     let names = those(views, measures, |photo| photo.white > OVEREXPOSED && photo.white > 2.0 * usual);
     (!names.is_empty()).then(|| {
         format!(

@@ -6,7 +6,7 @@ use genesplat::io::{Scene, ScenePhoto, list_scene, plural};
 use genesplat::train::TrainConfig;
 use genesplat::train::scene::initialise::scene_extent;
 
-use super::cameras::{Sight, sight};
+use super::cameras::{PointsSeen, points_seen};
 use super::cost::{Cost, estimate};
 use super::{Fact, Report, cameras, photos};
 use crate::scene;
@@ -20,22 +20,21 @@ pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let settings = TrainConfig::default().resolve()?;
     let scene = scene::load(dataset, [0.0; 3], settings.config().seed, None)?;
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
-    let sight = sight(&views, &scene.points);
+    let seen = points_seen(&views, &scene.points);
     let list = list_scene(&dataset.path, &dataset.options())?;
-    let mut facts = found(&scene, &views, &sight)?;
+    let mut facts = found(&scene, &views, &seen)?;
     facts.extend(lenses(&list.photos));
     let no_extent = scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
     let warnings =
-        [Vec::from_iter(no_extent), list.notices, cameras::warnings(&views, &sight), photos::warnings(&views)?]
-            .concat();
+        [Vec::from_iter(no_extent), list.notices, cameras::warnings(&views, &seen), photos::warnings(&views)?].concat();
     facts.extend(expected(&estimate(&scene, &settings)?, settings.config().iterations));
     Ok(Report { kind: "scene", facts, warnings })
 }
 
-fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
+fn found(scene: &Scene, views: &[&View], points_seen: &PointsSeen) -> Result<Vec<Fact>> {
     let extent = scene_extent(scene.train.iter().map(|view| &view.camera)).ok();
-    let mut seen = sight.points_seen.clone();
-    seen.sort_unstable();
+    let mut counts = points_seen.counts.clone();
+    counts.sort_unstable();
     let mut facts = vec![
         Fact::new("photos", views.len(), thousands(views.len())),
         Fact::new("test photos", scene.test.len(), format!("{} of them, which training never sees", scene.test.len())),
@@ -44,8 +43,8 @@ fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
         Fact::new("points", scene.points.len(), thousands(scene.points.len())),
         Fact::new(
             "points in a photo",
-            seen[seen.len() / 2],
-            format!("{} to {}", thousands(seen[0]), thousands(seen[seen.len() - 1])),
+            counts[counts.len() / 2],
+            format!("{} to {}", thousands(counts[0]), thousands(counts[counts.len() - 1])),
         ),
     ];
     facts.extend(extent.map(|extent| {
@@ -56,7 +55,7 @@ fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
     if masked > 0 {
         facts.push(Fact::new("masked photos", masked, format!("{masked}: what their masks hide counts for nothing")));
     }
-    if let Some(depth) = sight.depth {
+    if let Some(depth) = points_seen.depth {
         facts.push(Fact::new(
             "depth",
             depth,

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
+use genesplat::core::{Gaussians, RenderSettings, ScreenFilter, median};
 
-use super::{Fact, Report, median};
+use super::{Fact, Report};
 use crate::run::CLOUD;
 use crate::run::metrics::Metrics;
 use crate::run::session::has_checkpoint;
@@ -91,10 +91,10 @@ fn look(cloud: &Gaussians, settings: RenderSettings, path: &Path) -> (Vec<Fact>,
 
 /// The median position, and the median distance from it.
 fn reach(cloud: &Gaussians) -> ([f64; 3], f64) {
-    let middle = |axis: usize| median(cloud.positions.iter().map(|p| f64::from(p[axis])).collect()).unwrap_or(0.0);
+    let middle = |axis: usize| median(cloud.positions.iter().map(|p| f64::from(p[axis]))).unwrap_or(0.0);
     let centre = [0, 1, 2].map(middle);
     let distance = |p: &[f32; 3]| (0..3).map(|axis| (f64::from(p[axis]) - centre[axis]).powi(2)).sum::<f64>().sqrt();
-    (centre, median(cloud.positions.iter().map(distance).collect()).unwrap_or(0.0))
+    (centre, median(cloud.positions.iter().map(distance)).unwrap_or(0.0))
 }
 
 #[cfg(test)]

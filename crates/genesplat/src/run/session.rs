@@ -102,7 +102,10 @@ impl RunSession {
         if !self.resumes && path.join(CONFIG).exists() {
             remove_results(path)?;
         }
-        self.config = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
+        self.config = format!(
+            "{CONFIG_MARK} {}; --config repeats it.\n# What depends on the method is left out, unless it was set: docs/settings.md.\n{config}",
+            env!("CARGO_PKG_VERSION")
+        );
         write_text(&path.join(CONFIG), &self.config)?;
         let checkpoints = path.join("checkpoint");
         [path, &checkpoints, &path.join(TEST)].into_iter().for_each(|folder| remove_leftovers(folder));

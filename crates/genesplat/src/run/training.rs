@@ -79,7 +79,7 @@ impl Run<'_> {
         if session.resumes() {
             photos::check(session.path(), self.scene)?;
         }
-        let config = self.settings.train.config();
+        let config = self.settings.schedule.config();
         if config.extent.is_none() {
             scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
         }
@@ -115,16 +115,16 @@ impl Run<'_> {
             _ => 0.0,
         };
         let Self { settings, scene, stop, .. } = *self;
-        let config = &settings.train;
-        let curve = TestCurve::new(&scene.test, config.iterations);
+        let schedule = &settings.schedule;
+        let curve = TestCurve::new(&scene.test, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_mut(), asked);
         let Outcome { cloud, summary, checkpoint } =
-            train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
+            train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
         let owners = cluster::owners(self.cluster);
         let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(&saved, owners));
-        session.write_cloud(&cloud, config.render_settings().filter, owners)?;
+        session.write_cloud(&cloud, schedule.render_settings().filter, owners)?;
         saved?;
         drop(cloud);
         reporter.into_result()?;
@@ -150,7 +150,7 @@ impl Run<'_> {
             session.write_checkpoint(&checkpoint, cluster::owners(self.cluster))?;
             return Ok(Ended::Unscored);
         };
-        let config = self.settings.train.config();
+        let config = self.settings.schedule.config();
         let metrics = Metrics {
             schema: 1,
             dataset: self.scene.name.clone(),
@@ -206,7 +206,7 @@ impl Run<'_> {
             true => (&[][..], None, &never),
             false => (&self.scene.train[..], self.lpips.filter(|_| session.writes()), self.stop),
         };
-        let settings = self.settings.train.render_settings();
+        let settings = self.settings.schedule.render_settings();
         let pictures = session.path().join(TEST);
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
         let mut score = |views: &[View], folder: Option<&Path>| {

@@ -88,12 +88,6 @@ pub(crate) fn note(text: &str) {
     }
 }
 
-pub(crate) fn detail(text: &str) {
-    if is(Volume::Verbose) {
-        tell(text);
-    }
-}
-
 /// What was noted of work that is not done after all.
 pub(crate) fn forget_notes() {
     locked(&NOTES).clear();

@@ -40,6 +40,7 @@ fn write_street(folder: &Path) {
         cameras: [(1, intrinsics)].into(),
         images: (0..12).map(image).collect(),
         points: (0..45 * 13).map(point).collect(),
+        notices: Vec::new(),
     };
     write_model(&folder.join("sparse/0"), &model).unwrap();
     let picture =

@@ -1,6 +1,7 @@
 //! The plane that photographers stand on, or fly above.
 
-use genesplat_core::Camera;
+use genesplat_core::camera::mean_and_radius;
+use genesplat_core::{Camera, median};
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -52,20 +53,15 @@ fn down(cameras: &[Camera], points: &[DVec3]) -> DVec3 {
 
 /// The median distance from the median along a unit vector, which a few stray points do not change.
 fn median_deviation(points: &[DVec3], direction: DVec3) -> f64 {
-    let median = |values: &mut Vec<f64>| {
-        let middle = values.len() / 2;
-        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
-    let mut values: Vec<f64> = points.iter().map(|&point| point.dot(direction)).collect();
-    let middle = median(&mut values);
-    values.iter_mut().for_each(|value| *value = (*value - middle).abs());
-    median(&mut values)
+    let along = || points.iter().map(|&point| point.dot(direction));
+    let middle = median(along()).unwrap_or(0.0);
+    median(along().map(|value| (value - middle).abs())).unwrap_or(0.0)
 }
 
 /// The covariance of the cameras' centres, of trace 1; zero for cameras at one place.
 fn spread(cameras: &[Camera]) -> DMat3 {
     let centres: Vec<DVec3> = cameras.iter().map(Camera::centre_in_world).collect();
-    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let (mean, _) = mean_and_radius(&centres);
     let covariance: DMat3 = centres.iter().map(|&centre| outer(centre - mean)).sum();
     let trace = trace(&covariance);
     if trace > 0.0 { covariance * trace.recip() } else { DMat3::ZERO }

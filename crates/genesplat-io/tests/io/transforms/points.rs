@@ -58,7 +58,8 @@ fn nested_model(shift: f64) -> Model {
     let intrinsics = Intrinsics { width: 40, height: 30, focal_px: [44.0; 2], principal_px: [20.0, 15.0], lens: None };
     let point = |z: f64| (scale * (turn.inverse() * DVec3::new(1.0, 2.0, z))).as_vec3().into();
     let points = [3.0, 4.0, 5.0, 6.0].map(|z| Point { position: point(z), rgb: [z as u8; 3] });
-    Model { cameras: [(1, intrinsics)].into(), images: (0..3).map(image).collect(), points: points.into() }
+    let images = (0..3).map(image).collect();
+    Model { cameras: [(1, intrinsics)].into(), images, points: points.into(), notices: Vec::new() }
 }
 
 #[test]
@@ -75,6 +76,18 @@ fn points_of_the_model_beside_are_moved_to_the_cameras() {
     // Of other cameras.
     write_form(&folder.path().join("colmap/sparse/0"), Form::Binary, &nested_model(0.3));
     assert_eq!(load(folder.path()).unwrap().points.len(), 100_000);
+}
+
+#[test]
+fn points_that_lie_beside_the_list_are_taken_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    fs::write(folder.path().join("sparse_pc.ply"), ascii_points("", "uchar", "1 -2 0.5 9 8 7\n4 5 6 255 128 0\n"))
+        .unwrap();
+    let scene = load(folder.path()).unwrap();
+    assert_eq!((scene.points.len(), scene.points[0].position), (4, [1.0, -2.0, 0.5]));
+    let told = |notice: &String| notice.contains("sparse_pc.ply, which the scene does not name");
+    assert!(scene.notices.iter().any(told), "{:?}", scene.notices);
 }
 
 /// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::evolution::{founders, just_reset, max_relative_difference};
 use super::workload::Source;
-use super::{median, print_figures, step_at_rest};
+use super::{middle, print_figures, step_at_rest};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, DeviceChoice};
 use crate::terminal::output;
@@ -172,7 +172,7 @@ impl Bench {
         let scoring_bytes = self.backend.take_most_allocated_bytes() - before;
         let seconds = (0..SCORINGS)
             .map(|_| self.seconds(|bench| Ok(bench.backend.score(&individuals, &[0], &bench.settings)?)));
-        let scored_seconds = median(seconds.collect::<Result<Vec<_>>>()?.into_iter());
+        let scored_seconds = middle(seconds.collect::<Result<Vec<_>>>()?);
         // As many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians make no
         // difference to them.
         let plainly = |count: usize| move |bench: &mut Self| Ok(_ = bench.plain_losses(count)?);
@@ -219,9 +219,9 @@ impl Bench {
         }
         self.backend.stop_timing();
         let names = samples.first().cloned().unwrap_or_default();
-        let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1));
+        let stage = |index: usize| 1e3 * middle(samples.iter().map(|sample| sample[index].1));
         let counted =
-            |count: fn(&StepReport) -> usize| median(reports.iter().map(|report| count(report) as f64)) as usize;
+            |count: fn(&StepReport) -> usize| middle(reports.iter().map(|report| count(report) as f64)) as usize;
         Ok(Timed {
             stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
             visible: counted(|report| report.visible),

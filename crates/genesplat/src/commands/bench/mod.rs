@@ -6,7 +6,7 @@ pub(crate) mod step;
 mod workload;
 
 use anyhow::Result;
-use genesplat::core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update};
+use genesplat::core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update, median};
 use serde::Serialize;
 
 use crate::terminal::output;
@@ -23,11 +23,9 @@ pub(crate) fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> 
     }
 }
 
-/// The middle one of some values (the upper one of two).
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+/// The middle one of what was measured, of which there is always something.
+fn middle(values: impl IntoIterator<Item = f64>) -> f64 {
+    median(values).unwrap_or(f64::NAN)
 }
 
 /// Prints figures under the names that they have in JSON, a line each.

@@ -12,7 +12,7 @@ use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per
 use serde::Serialize;
 
 use super::workload::Source;
-use super::{median, print_figures, step_at_rest};
+use super::{middle, print_figures, step_at_rest};
 use crate::args::BenchStepArgs;
 use crate::device;
 use crate::run::memory;
@@ -79,20 +79,20 @@ fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: Render
 impl Report {
     fn new(gaussians: usize, camera: &Camera, samples: &[Sample]) -> Self {
         let threads = rayon::current_num_threads();
-        let milliseconds = |seconds: StageClock| 1e3 * median(samples.iter().map(|sample| seconds(&sample.stages)));
+        let milliseconds = |seconds: StageClock| 1e3 * middle(samples.iter().map(|sample| seconds(&sample.stages)));
         // Of all threads together, so that it compares with one core's roofline.
         let core_nanoseconds = |seconds: StageClock| {
             let each = |sample: &Sample| 1e9 * seconds(&sample.stages) * threads as f64 / sample.tile_splats;
-            median(samples.iter().map(each))
+            middle(samples.iter().map(each))
         };
         Self {
             gaussians,
             width: camera.width,
             height: camera.height,
             threads,
-            milliseconds: median(samples.iter().map(|sample| sample.milliseconds)),
+            milliseconds: middle(samples.iter().map(|sample| sample.milliseconds)),
             stages: STAGES.map(|(name, seconds)| (name, milliseconds(seconds))).into(),
-            tile_splats: median(samples.iter().map(|sample| sample.tile_splats)),
+            tile_splats: middle(samples.iter().map(|sample| sample.tile_splats)),
             blend_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise),
             blend_backward_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise_backward),
             roofline_nanoseconds_per_tile_splat: roofline_nanoseconds_per_intersection(),
