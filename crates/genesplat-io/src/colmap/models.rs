@@ -138,7 +138,7 @@ mod tests {
             let ([fx, fy, ..], lens) = read(model, &values).unwrap();
             assert_eq!(fx == fy, model.starts_with("SIMPLE") || model.starts_with("RADIAL"), "{model}");
             assert_eq!(lens.is_none(), model.ends_with("PINHOLE"), "{model}");
-            assert!(read(model, &values[1..]).unwrap_err().to_string().contains("number of parameters"));
+            assert!(read(model, &values[1..]).unwrap_err().to_string().contains(&format!("and {model} has {count}")));
         }
     }
 

@@ -129,7 +129,7 @@ fn of_several_models_the_one_with_the_most_photos_is_used() {
         write_form(&sparse("10"), form, &tiny_model(3));
         let (photos, notice) = found(folder.path());
         assert!(
-            photos == 5 && notice.contains("into 3 models") && notice.contains("sparse/1, the largest"),
+            photos == 5 && notice.contains("into 3 models") && notice.contains("sparse/1 is used, the largest"),
             "{notice}"
         );
         // Of equal ones the first, and the only one whatever it is called.

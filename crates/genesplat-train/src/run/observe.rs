@@ -207,7 +207,7 @@ pub trait Observer {
     fn on_stage_end(&mut self, _record: &StageRecord) {}
     /// Something that the user should know: one sentence.
     fn notice(&mut self, _text: &str) {}
-    /// A checkpoint that the schedule asked for, or the last one of a run whose device is out of memory.
+    /// A checkpoint that the schedule asked for, or that of a run which ends in an error: out of memory, in a stage, or at a stop.
     fn on_checkpoint(&mut self, _checkpoint: Checkpoint) {}
     /// True to look at the cloud after this iteration.
     fn wants_renders(&mut self, _iteration: u32) -> bool {

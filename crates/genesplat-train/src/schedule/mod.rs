@@ -4,6 +4,12 @@
 //! between any two of them. The rules, quirks included, are those of the code released with 3DGS (2023), which Pixel-GS
 //! and Mip-Splatting share.
 
+mod improved;
+mod optimiser_step;
+#[cfg(test)]
+mod tests;
+mod visits;
+
 use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest};
 use serde::{Deserialize, Serialize};
 
@@ -420,9 +426,3 @@ impl Schedule {
 fn of_run(iterations: u32, fraction: f64) -> u32 {
     (f64::from(iterations) * fraction).round() as u32
 }
-
-mod improved;
-mod optimiser_step;
-#[cfg(test)]
-mod tests;
-mod visits;

@@ -15,7 +15,9 @@ use crate::cpu::loss::{PhotoRows, Target};
 use crate::cpu::update::{ByTile, SplatGradients};
 use crate::cpu::view::{Band, CHUNK, Pinhole, Splats, ViewBuffers};
 
-/// The sums of `map` `[H, W]` in the place of errors, of one view `[N]`.
+/// Blending weights times the values of `map` `[H, W]`, summed over the pixels of one view, of each Gaussian `[N]`.
+///
+/// They are the gradient of the red that it has, where that of the image's red is the map.
 pub(crate) fn weigh(
     level: Level,
     buffers: &mut ViewBuffers,
@@ -80,7 +82,7 @@ fn each_splat<T: Send>(
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
             let sums = gradients.sum(index).0;
-            add(&mut totals[splat.row as usize - first], [sums[column::RED], sums[column::RED + 1]]);
+            add(&mut totals[splat.row as usize - first], [sums[column::RED], sums[column::GREEN]]);
         }
     });
 }

@@ -54,10 +54,12 @@ pub(crate) struct Geometry<S: Simd> {
     /// 1 / length of the raw quaternion, and the unit quaternion `(w, x, y, z)`.
     pub inverse_length: V<S>,
     pub unit: [V<S>; 4],
+    /// Rotation of the own axes into the world.
     pub r: [[V<S>; 3]; 3],
     /// Variances along the own axes without the 3D filter, and with it.
     pub variance_raw: [V<S>; 3],
     pub variance: [V<S>; 3],
+    /// Position in camera coordinates, world units, and `1/z` of it.
     pub t: [V<S>; 3],
     pub inverse_z: V<S>,
     /// `x/z`, `y/z`, and the same clamped for the Jacobian.
@@ -69,6 +71,7 @@ pub(crate) struct Geometry<S: Simd> {
     /// Projected covariance `[a, b, c]` before and after the screen filter, px².
     pub cov_raw: [V<S>; 3],
     pub cov: [V<S>; 3],
+    /// Determinants of the two, px⁴.
     pub det_raw: V<S>,
     pub det: V<S>,
     /// Factors on the opacity from the 3D filter and from the screen filter.
