@@ -10,7 +10,7 @@ use crate::error::SceneError;
 use crate::listing::{bad_pose, intrinsics_problem, position_problem};
 use crate::photos::Lens;
 use crate::scene::Point;
-use crate::shown;
+use crate::{plural, shown};
 
 /// The records of a file that are finite.
 pub(crate) struct Finite<T> {
@@ -68,10 +68,15 @@ pub(super) fn images(
     let notice = match lost.first() {
         Some(first) if records.is_empty() => return Err(bad_pose(file, first, "is not finite")),
         Some(first) => Some(format!(
-            "{} of the {} photos that {} lists have a pose that is not finite and are left out, first {}",
+            "{} of the {} photos that {} lists {}, first {}",
             lost.len(),
             lost.len() + records.len(),
             shown(file),
+            plural(
+                lost.len(),
+                "has a pose that is not finite and is left out",
+                "have poses that are not finite and are left out"
+            ),
             shown(first)
         )),
         None => None,
@@ -112,8 +117,10 @@ pub(super) fn points(
         }
     }
     let all = lost + records.len();
-    let notice =
-        (lost > 0).then(|| format!("{lost} of the {all} points of {} are not finite and are left out", shown(file)));
+    let notice = (lost > 0).then(|| {
+        let are = plural(lost, "is not finite and is left out", "are not finite and are left out");
+        format!("{lost} of the {all} points of {} {are}", shown(file))
+    });
     Ok(Finite { records, notice })
 }
 

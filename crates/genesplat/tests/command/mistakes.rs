@@ -190,6 +190,20 @@ fn what_was_given_is_not_quite_a_scene() {
             Says(&["phone holds 1 picture that is", "neither JPEG nor PNG nor WebP", "heif-convert"]),
         ),
         (|place| place.trains("scene/images", &[]), Works(&["of which a part was given"])),
+        (
+            |place| {
+                fs::rename(place.at("scene/images"), place.at("scene/images_4")).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["images_4 has photos of these names, so give --images images_4"]),
+        ),
+        (
+            |place| {
+                fs::rename(place.at("scene/images"), place.at("scene/images_4")).unwrap();
+                place.trains("scene", &["--images", "images_4"])
+            },
+            Works(&[]),
+        ),
         (|place| place.trains("scene/sparse/0", &[]), Works(&["of which a part was given"])),
         (|place| place.trains("scene/sparse/0/cameras.bin", &[]), Works(&["of which a part was given"])),
         (|place| place.trains("", &[]), Works(&["of which a part was given"])),

@@ -43,6 +43,10 @@ fn evaluating_a_run_repeats_its_metrics() {
     let arguments = ["evaluate", text(&ply), "--data", text(scene()), "--max-side", "56", "--json", text(&file)];
     succeed(arguments);
     assert_eq!(json(&file)["psnr"], metrics["test"]["psnr"]);
+    // A run knows its scene, and a file does not.
+    succeed(["evaluate", text(&run), "--json", text(&file)]);
+    assert_eq!(json(&file)["psnr"], metrics["test"]["psnr"]);
+    fail(["evaluate", text(&ply)], &["does not say which scene it shows", "--data"]);
 }
 
 #[test]
