@@ -7,15 +7,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use std::{env, process, thread};
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
 use genesplat::core::{Alone, BackendError, EvolutionBackend, RowOwners};
-use genesplat::io::{archive, shown};
+use genesplat::io::{Scene, archive, shown};
 use genesplat::train::{StepBudget, TrainConfig};
 
 use crate::args::TrainArgs;
 use crate::device::DeviceChoice;
+use crate::digest::{PARTS, digests};
 use crate::run::{failure, memory};
+use crate::settings::Settings;
 use crate::terminal::numbers::memory as of_memory;
 use crate::terminal::output::{self, Volume};
 
@@ -58,6 +60,15 @@ pub(crate) fn is_member() -> bool {
     started(WORLD_SIZE) > 1
 }
 
+/// The only process that `mpirun` has started stops by the signal by which many do.
+pub(crate) fn stop_as_ranks_do(stop: &Arc<AtomicBool>) -> Result<()> {
+    #[cfg(unix)]
+    if env::var_os(WORLD_SIZE).is_some() {
+        signal_hook::flag::register(signal_hook::consts::SIGUSR1, stop.clone())?;
+    }
+    Ok(())
+}
+
 /// Tells who has started several processes by another program that each is a run of its own.
 pub(crate) fn notice_other_starters() {
     let several = |&(_, variable): &(&str, &str)| started(variable) > 1;
@@ -84,6 +95,22 @@ impl Cluster {
         let done = Arc::default();
         end_in_time([told, &asked, &done].map(Arc::clone), (group.rank(), root), folder.to_owned())?;
         Ok(Self { group, asked, stop, done })
+    }
+
+    /// Fails where a rank has loaded other things than rank 0: each would train its rows of another run.
+    pub(crate) fn check_alike(&self, settings: &Settings, scene: &Scene) -> Result<()> {
+        let own = digests(settings, scene).map_err(|error| BackendError::Unsupported(error.to_string()));
+        let words = |digest: u64| [digest as u32, (digest >> 32) as u32];
+        let parts = self.group.gather(own.map(|own| own.into_iter().flat_map(words).collect()))?;
+        let different =
+            |rank: usize| (0..PARTS.len()).find(|&part| parts[rank][2 * part..][..2] != parts[0][2 * part..][..2]);
+        match (1..parts.len()).find_map(|rank| Some((rank, different(rank)?))) {
+            Some((rank, part)) => bail!(
+                "rank {rank} has {} than rank 0; give all ranks the same program, settings and copies of the scene",
+                PARTS[part]
+            ),
+            None => Ok(()),
+        }
     }
 
     pub(crate) fn is_root(&self) -> bool {

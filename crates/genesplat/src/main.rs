@@ -8,6 +8,7 @@ mod blocks;
 mod cluster;
 mod commands;
 mod device;
+mod digest;
 mod experiment;
 mod files;
 mod inspect;

@@ -242,6 +242,14 @@ impl Settings {
     }
 }
 
+impl Settings {
+    /// All that the result of a run depends on, and when it is saved, but for the path of its scene and the machine.
+    pub(crate) fn of_result(&self) -> String {
+        let config = self.schedule.config();
+        format!("{}\n{}", result_settings(&self.dataset, config), config.checkpoint_every)
+    }
+}
+
 /// Fails where flags would: files have the same ranges.
 pub(crate) fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Result<()> {
     ensure!(

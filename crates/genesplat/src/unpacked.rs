@@ -5,10 +5,10 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::{self, Unpacked};
-use genesplat::io::{CONVERT, input, shown};
+use genesplat::io::{CONVERT, atomic, input, shown};
 use serde::{Deserialize, Serialize};
 
-use crate::files::write_json;
+use crate::files::{remove_leftovers, write_json};
 use crate::run::lock::Lock;
 use crate::terminal::output;
 
@@ -37,7 +37,7 @@ pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
             shown(archive)
         ),
         None => ensure!(
-            fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none()),
+            is_empty(folder),
             "{} is there already, and {} would be unpacked into it; choose another --out",
             shown(folder),
             shown(archive)
@@ -45,12 +45,19 @@ pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
     }
     write_json(&file, &record(false))?;
     let _lock = Lock::take(folder)?;
+    remove_leftovers(folder);
     let Unpacked { files, unread } = archive::unpack(archive, folder)?;
     output::tell(&format!("{files} files of {} are unpacked into {}", shown(archive), shown(folder)));
     if let Some(first) = unread.first() {
         tell_of_unread(unread.len(), &shown(first).to_string());
     }
     write_json(&file, &record(true))
+}
+
+/// Whether nothing is in a folder but what a process has left that was killed while it wrote.
+fn is_empty(folder: &Path) -> bool {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.file_name()).all(|name| atomic::is_temporary(&name.to_string_lossy()))
 }
 
 /// Pictures of formats that are not read are left out, and that is said.

@@ -9,8 +9,8 @@ use genesplat::io::shown;
 use glam::DVec3;
 
 use super::folder::{Cut, command, run_of};
-use crate::run::CLOUD;
 use crate::run::session::has_checkpoint;
+use crate::run::{CLOUD, METRICS};
 use crate::splat;
 
 /// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be shown.
@@ -62,18 +62,24 @@ fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
 }
 
 fn check_runs(grid: &Grid, folder: &Path) -> Result<()> {
-    let (mut missing, mut stopped) = (Vec::new(), Vec::new());
+    let (mut missing, mut stopped, mut failed) = (Vec::new(), Vec::new(), Vec::new());
     for block in grid.blocks() {
         let run = run_of(block, folder);
-        match (has_checkpoint(&run), run.join(CLOUD).exists()) {
-            (true, _) => stopped.push(block),
-            (false, false) => missing.push(block),
-            (false, true) => {}
+        match (has_checkpoint(&run), run.join(CLOUD).exists(), run.join(METRICS).exists()) {
+            (true, ..) => stopped.push(block),
+            (false, false, _) => missing.push(block),
+            // What it had come to was saved, and its checkpoint could not be.
+            (false, true, false) => failed.push(block),
+            (false, true, true) => {}
         }
     }
     let names = |blocks: &[&Block]| blocks.iter().map(|block| block.name.as_str()).collect::<Vec<_>>().join(", ");
     if let Some(first) = missing.first() {
         bail!("no splat is there yet of block {}; {} makes the first", names(&missing), command(first, folder));
+    }
+    if let Some(first) = failed.first() {
+        let (names, command) = (names(&failed), command(first, folder));
+        bail!("the run of block {names} failed before its end; {command} trains the first anew");
     }
     if let Some(first) = stopped.first() {
         let (names, command) = (names(&stopped), command(first, folder));

@@ -27,7 +27,9 @@ use crate::{cluster, device, lpips, overwrite, scene, unpacked};
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if !cluster::is_member() {
         cluster::notice_other_starters();
-        return run_on(args, &*interrupt::stop_flag()?, None);
+        let stop = interrupt::stop_flag()?;
+        cluster::stop_as_ranks_do(&stop)?;
+        return run_on(args, &stop, None);
     }
     let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out)?;
     let done = run_on(args, cluster.stop(), Some(&cluster));
@@ -51,6 +53,7 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
         return Ok(Ending::Stopped);
     };
     let Loaded { mut session, settings, scene, lpips } = loaded;
+    cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene))?;
     let (page, tensorboard) = (args.page.address(), args.tensorboard);
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
     let ended = Run { settings, scene, lpips, stop, page, tensorboard, cluster, began }.execute(&mut session)?;

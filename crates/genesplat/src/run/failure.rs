@@ -59,9 +59,9 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
     if !has_checkpoint(folder) {
         return failed.map_or(String::new(), |_| format!(" (no checkpoint had been saved, so {anew})"));
     }
-    let path = folder.join(CHECKPOINT);
-    let Ok(checkpoint) = read_checkpoint(folder, &no_rows) else {
-        return format!(" ({} cannot be read, so {anew})", shown(path));
+    let checkpoint = match read_checkpoint(folder, &no_rows) {
+        Ok(checkpoint) => checkpoint,
+        Err(unread) => return format!(" ({unread})"),
     };
     let how = match (caller, failed) {
         (Caller::Experiment, Some(DeviceFailure::OutOfMemory)) => {
@@ -81,7 +81,7 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
             "the same command with --resume --device cpu goes on from there, while other limits need a new run"
         }
     };
-    format!(" ({} holds the run at iteration {}; {how})", shown(path), checkpoint.cursor.iteration)
+    format!(" ({} holds the run at iteration {}; {how})", shown(folder.join(CHECKPOINT)), checkpoint.cursor.iteration)
 }
 
 #[cfg(test)]
@@ -147,7 +147,7 @@ mod tests {
         }
 
         fs::write(&file, "no checkpoint").unwrap();
-        assert!(says(other()).contains("cannot be read"));
+        assert!(says(other()).contains("not a checkpoint of this version"));
 
         let left = || left_by_ranks(&folder);
         assert!(left().contains(&file) && left().contains("--resume"), "{}", left());

@@ -158,6 +158,10 @@ fn blocks_are_trained_one_by_one_and_merged() {
     fs::write(checkpoint.join("latest.checkpoint"), "half of it").unwrap();
     let resumed = format!("{second} --resume goes on");
     judge_failure(in_shell(merge, place.path()), &["block 1-0 was stopped before its end", &resumed]);
+    fs::remove_dir_all(checkpoint).unwrap();
+    // Or its splat alone, where there was no room for a checkpoint.
+    fs::remove_file(blocks.join("runs/1-0/metrics.json")).unwrap();
+    judge_failure(in_shell(merge, place.path()), &["block 1-0 failed before its end", second]);
     fs::remove_dir_all(blocks.join("runs/1-0")).unwrap();
 
     works(&format!("{second} {QUICK} --background white"));

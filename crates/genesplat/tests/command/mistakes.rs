@@ -164,6 +164,15 @@ fn what_was_given_is_not_quite_a_scene() {
             },
             Says(&["run/scene is there already", "choose another --out"]),
         ),
+        // Killed in its first write.
+        (
+            |place| {
+                place.zip("scene", "scene.zip");
+                place.write("run/scene/.genesplat-7-0.tmp", "half");
+                place.trains("scene.zip", &[])
+            },
+            Works(&["are unpacked into"]),
+        ),
         (
             |place| {
                 place.zip("scene", "scene.zip");

@@ -38,7 +38,7 @@ fn a_run_that_is_asked_to_stop_goes_on_with_other_processes() {
     let (whole, folder) = (undisturbed(), tempfile::tempdir().unwrap());
     let out = folder.path().join("run");
     // One is a run without ranks. Mpirun passes the other signal on, and waits.
-    for (ranks, step, asks) in [(3, 60, "-USR1"), (1, 150, "-INT"), (2, 330, "-USR1")] {
+    for (ranks, step, asks) in [(3, 60, "-USR1"), (1, 150, "-USR1"), (2, 330, "-USR1")] {
         let child = whole.start(ranks, &out);
         wait_for_step(&out, step, &child);
         signal(asks, if ranks == 1 { ranks_of(&child)[0] } else { child.id() });
@@ -57,6 +57,22 @@ fn mistakes_are_told_once() {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && said.matches("error: ").count() == 1, "{said}");
     assert!(!out.exists());
+}
+
+/// Stale copies of a scene or of a file of settings are easily had on many machines.
+#[test]
+fn ranks_that_have_loaded_different_things_do_not_begin() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (scene(folder.path()), folder.path().join("run"));
+    for (more, says) in [("--seed=4", "rank 1 has other settings"), ("--max-side=60", "rank 1 has other settings")] {
+        let mut command = mpirun(1, &train(&scene, &out, &[]));
+        let other: Vec<&str> = train(&scene, &out, &[]).into_iter().filter(|word| *word != "--seed=3").collect();
+        command.args([":", "-n", "1", genesplat()]).args(other).arg(more);
+        let output = command.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.matches("error: ").count() == 1 && said.contains(says), "{said}");
+        assert!(!out.join("point_cloud.ply").exists());
+    }
 }
 
 /// Only the first writes the splat, whose name is taken meanwhile.

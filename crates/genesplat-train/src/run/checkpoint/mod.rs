@@ -91,13 +91,15 @@ pub struct Checkpoint {
 #[non_exhaustive]
 pub enum CheckpointError {
     /// The file could not be read, or is shorter than it says.
-    #[error("the checkpoint could not be read to its end ({0}); start the run anew, or from an earlier checkpoint")]
+    #[error(
+        "the checkpoint could not be read to its end ({0}); try again, or remove it to begin the run anew, without --resume"
+    )]
     Io(#[from] io::Error),
     /// Another format, or another version of it.
     #[error("this is not a checkpoint of this version of genesplat; resume with the version that wrote it")]
     Foreign,
     /// Bytes were changed.
-    #[error("the checkpoint is damaged ({0}); start the run anew, or from an earlier checkpoint")]
+    #[error("the checkpoint is damaged ({0}); remove it to begin the run anew, without --resume")]
     Damaged(&'static str),
 }
 
