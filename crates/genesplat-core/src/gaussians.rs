@@ -20,6 +20,10 @@ pub struct Gaussians {
     pub filter_3d: Option<Vec<f32>>,
 }
 
+/// Names and widths of [`Gaussians::columns`].
+const COLUMNS: [(&str, usize); 5] =
+    [("position", 3), ("log-scale", 3), ("rotation", 4), ("opacity", 1), ("colour", SH_STRIDE)];
+
 impl Gaussians {
     /// Bytes of a row, without the 3D filter.
     pub const BYTES_PER_ROW: usize = (3 + 3 + 4 + 1 + SH_STRIDE) * size_of::<f32>();
@@ -130,9 +134,16 @@ impl Gaussians {
     /// The first row with a parameter that is not finite, and its name. Positions of all rows are looked at first, then
     /// log-scales, rotations, opacities and colours; 3D filters are not.
     pub fn first_non_finite(&self) -> Option<(usize, &'static str)> {
-        let names = ["position", "log-scale", "rotation", "opacity", "colour"].into_iter();
-        names.zip(self.columns()).zip([3, 3, 4, 1, SH_STRIDE]).find_map(|((name, values), width)| {
+        COLUMNS.into_iter().zip(self.columns()).find_map(|((name, width), values)| {
             values.iter().position(|value| !value.is_finite()).map(|at| (at / width, name))
+        })
+    }
+
+    /// The name of the first parameter of a row that is not finite; its 3D filter is not looked at.
+    pub fn non_finite_of(&self, row: usize) -> Option<&'static str> {
+        COLUMNS.into_iter().zip(self.columns()).find_map(|((name, width), values)| {
+            let is_finite = values[width * row..][..width].iter().all(|value| value.is_finite());
+            (!is_finite).then_some(name)
         })
     }
 
@@ -308,6 +319,9 @@ mod tests {
         assert_eq!(cloud.first_non_finite(), None);
         cloud.log_scales[2][1] = f32::NAN;
         assert_eq!(cloud.first_non_finite(), Some((2, "log-scale")));
+        cloud.sh[2][47] = f32::INFINITY;
+        cloud.sh[0][47] = f32::NAN;
+        assert_eq!([0, 1, 2].map(|row| cloud.non_finite_of(row)), [Some("colour"), None, Some("log-scale")]);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Format, Loaded};
-use genesplat::io::{LoadOptions, MaskUse, Scene, command_line, list_scene, shown};
+use genesplat::io::{FormatError, LoadOptions, MaskUse, Scene, command_line, list_scene, shown};
 use genesplat::train::Background;
 
 use crate::args::{PhotosArgs, ShownOnArgs};
@@ -17,7 +17,7 @@ use crate::terminal::output;
 
 /// A cloud and how it is meant to be shown.
 pub(crate) struct Splat {
-    /// The Gaussians; all values are finite.
+    /// The Gaussians; all values are finite, unless it was opened unchecked.
     pub(crate) cloud: Gaussians,
     pub(crate) settings: RenderSettings,
     /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
@@ -100,16 +100,27 @@ impl Splat {
     }
 }
 
+type Read = fn(&Path) -> Result<Loaded, FormatError>;
+
 pub(crate) fn open(path: &Path) -> Result<Splat> {
-    ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
-    if path.is_dir() { open_run(path) } else { open_file(path) }
+    open_by(format::read, path)
 }
 
-fn open_run(folder: &Path) -> Result<Splat> {
+/// The same with Gaussians that [`open`] refuses, for who leaves them out.
+pub(crate) fn open_unchecked(path: &Path) -> Result<Splat> {
+    open_by(format::read_unchecked, path)
+}
+
+fn open_by(read: Read, path: &Path) -> Result<Splat> {
+    ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
+    if path.is_dir() { open_run(read, path) } else { open_file(read, path) }
+}
+
+fn open_run(read: Read, folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
     check_has_cloud(folder, &config)?;
     let settings = config.train.resolve()?.render_settings();
-    let cloud = read_cloud(&folder.join(CLOUD))?.cloud;
+    let cloud = read_cloud(read, &folder.join(CLOUD))?.cloud;
     Ok(Splat { cloud, settings, trained_on: Some(config.dataset) })
 }
 
@@ -129,18 +140,24 @@ fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
     Ok(())
 }
 
-fn open_file(path: &Path) -> Result<Splat> {
-    let loaded = read_cloud(path)?;
+fn open_file(read: Read, path: &Path) -> Result<Splat> {
+    let loaded = read_cloud(read, path)?;
     let declared = loaded.screen_filter.unwrap_or_default();
     let filter = if loaded.cloud.filter_3d.is_some() { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: loaded.sh_degree, filter, ..RenderSettings::default() };
     Ok(Splat { cloud: loaded.cloud, settings, trained_on: None })
 }
 
-fn read_cloud(path: &Path) -> Result<Loaded> {
-    let loaded = format::read(path)?;
+fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {
+    let loaded = read(path)?;
     let is_empty = loaded.cloud.is_empty();
     ensure!(!is_empty, "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
+    if loaded.is_2dgs {
+        output::tell(&format!(
+            "notice: the Gaussians of {} are flat (2DGS, without scale_2); here they are 1e-6 world units thick",
+            shown(path)
+        ));
+    }
     Ok(loaded)
 }
 

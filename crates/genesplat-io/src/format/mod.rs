@@ -94,7 +94,7 @@ impl Format {
 /// A splat that was read.
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// The Gaussians; all values are finite.
+    /// The Gaussians; all values are finite, unless [`read_unchecked`] has read them.
     pub cloud: Gaussians,
     /// What the file is.
     pub format: Format,
@@ -102,6 +102,8 @@ pub struct Loaded {
     pub sh_degree: u8,
     /// How a viewer should filter; `None` where the file does not say.
     pub screen_filter: Option<ScreenFilter>,
+    /// The file holds flat Gaussians (2DGS); here they are 1e-6 world units thick.
+    pub is_2dgs: bool,
 }
 
 /// How a splat is written.
@@ -127,36 +129,48 @@ struct Decoded {
     cloud: Gaussians,
     sh_degree: u8,
     screen_filter: Option<ScreenFilter>,
+    is_2dgs: bool,
 }
 
 impl From<(PlyHeader, Gaussians)> for Decoded {
     fn from((header, cloud): (PlyHeader, Gaussians)) -> Self {
-        Self { cloud, sh_degree: header.sh_degree, screen_filter: header.screen_filter }
+        let PlyHeader { sh_degree, screen_filter, is_2dgs, .. } = header;
+        Self { cloud, sh_degree, screen_filter, is_2dgs }
     }
 }
 
 /// Reads a splat of any format. Infinite opacities, as converters write them for an alpha of 255, become opaque and
-/// transparent; other values that are not finite are errors.
+/// transparent, and a log-scale of minus infinity is one of a scale of 0; other values that are not finite are errors.
 pub fn read(path: &Path) -> Result<Loaded, FormatError> {
+    checked(path, read_unchecked(path)?)
+}
+
+/// The same with Gaussians that [`read`] refuses, for who leaves them out: see [`ply::leave_out_faults`].
+pub fn read_unchecked(path: &Path) -> Result<Loaded, FormatError> {
     let head = head(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
     let format = match Format::of_content(path, &head) {
         Format::Ply | Format::CompressedPly if ply::is_compressed(path)? => Format::CompressedPly,
         Format::CompressedPly => Format::Ply,
         format => format,
     };
-    finished(path, format, decode(path, format)?)
+    Ok(finished(format, decode(path, format)?))
 }
 
 /// The splat in the `bytes` of `path`, which are of this `format`.
 pub(crate) fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
-    finished(path, format, decode_bytes(path, format, bytes)?)
+    checked(path, finished(format, decode_bytes(path, format, bytes)?))
 }
 
-fn finished(path: &Path, format: Format, decoded: Decoded) -> Result<Loaded, FormatError> {
-    let Decoded { mut cloud, sh_degree, screen_filter } = decoded;
+fn checked(path: &Path, loaded: Loaded) -> Result<Loaded, FormatError> {
+    check_finite(path, &loaded.cloud)?;
+    Ok(loaded)
+}
+
+fn finished(format: Format, decoded: Decoded) -> Loaded {
+    let Decoded { mut cloud, sh_degree, screen_filter, is_2dgs } = decoded;
     packing::clamp_opacities(&mut cloud);
-    check_finite(path, &cloud)?;
-    Ok(Loaded { cloud, format, sh_degree, screen_filter })
+    packing::clamp_log_scales(&mut cloud);
+    Loaded { cloud, format, sh_degree, screen_filter, is_2dgs }
 }
 
 fn decode(path: &Path, format: Format) -> Result<Decoded, FormatError> {
@@ -227,8 +241,11 @@ pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Option
 fn baked(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Gaussians, FormatError> {
     let mut baked = cloud.fused();
     limit_sh_degree(&mut baked, options.sh_degree.min(SH_DEGREE_MAX));
-    check_finite(path, &baked)?;
-    Ok(baked)
+    let first = ply::faults(&baked).next();
+    first.map_or(Ok(baked), |fault| {
+        let problem = format!("would hold a Gaussian that cannot be shown: {fault}; leave it out");
+        Err(FormatError::unsupported(path, problem))
+    })
 }
 
 fn ply_options(options: &Options) -> PlyOptions {

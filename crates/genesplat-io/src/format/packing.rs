@@ -27,6 +27,12 @@ pub(super) fn clamp_opacities(cloud: &mut Gaussians) {
     }
 }
 
+/// Replaces log-scales of minus infinity, which Gaussians without a thickness have, by the one of a scale of 0.
+pub(super) fn clamp_log_scales(cloud: &mut Gaussians) {
+    let log_scales = cloud.log_scales.as_flattened_mut().iter_mut();
+    log_scales.filter(|value| **value == f32::NEG_INFINITY).for_each(|value| *value = log_scale(0.0));
+}
+
 /// The logarithm of a standard deviation; that of 0 is finite here, and that of a negative one NaN.
 pub(super) fn log_scale(scale: f32) -> f32 {
     if scale >= 0.0 { scale.max(f32::MIN_POSITIVE).ln() } else { f32::NAN }
@@ -169,5 +175,8 @@ mod tests {
         cloud.opacity_logits = vec![f32::INFINITY, f32::NEG_INFINITY, 40.0];
         clamp_opacities(&mut cloud);
         assert_eq!(cloud.opacity_logits, [LOGIT_MAX, -LOGIT_MAX, 40.0]);
+        cloud.log_scales[1] = [f32::NEG_INFINITY, f32::INFINITY, -200.0];
+        clamp_log_scales(&mut cloud);
+        assert_eq!(cloud.log_scales[1], [log_scale(0.0), f32::INFINITY, -200.0]);
     }
 }

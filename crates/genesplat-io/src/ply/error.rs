@@ -1,9 +1,10 @@
 //! Why a cloud could not be read or written.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use crate::shown;
+use super::Fault;
+use crate::{command_line, shown};
 
 /// Why a cloud could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -60,7 +61,7 @@ pub enum PlyError {
         /// What is wrong, and what to do.
         problem: String,
     },
-    /// A position that no scene has.
+    /// A point where no scene has one.
     #[error("{}: the position of row {row} {problem}; remove it in a splat editor", shown(.path))]
     Position {
         /// The file.
@@ -70,14 +71,16 @@ pub enum PlyError {
         /// What is wrong with it.
         problem: &'static str,
     },
-    /// A value that is not finite.
-    #[error("{}: the {parameter} of Gaussian {row} is not finite; remove it in a splat editor", shown(.path))]
-    NonFinite {
+    /// A Gaussian that cannot be shown.
+    #[error("{}: {fault}; `{}` leaves such Gaussians out", shown(.path), convert(.path))]
+    Gaussian {
         /// The file.
         path: PathBuf,
-        /// 0-based row.
-        row: usize,
-        /// Which parameter.
-        parameter: &'static str,
+        /// The first one, and what is wrong with it.
+        fault: Fault,
     },
+}
+
+fn convert(path: &Path) -> String {
+    command_line(["genesplat".as_ref(), "convert".as_ref(), path.as_os_str(), "OUT".as_ref()])
 }

@@ -18,6 +18,8 @@ pub struct PlyHeader {
     pub sh_degree: u8,
     /// True for Mip-Splatting's 3D filter.
     pub has_filter_3d: bool,
+    /// True for flat Gaussians, which have two scales (2DGS).
+    pub is_2dgs: bool,
     /// How a viewer should filter; `None` when the file does not say.
     pub screen_filter: Option<ScreenFilter>,
     /// Header comments in order.
@@ -213,10 +215,12 @@ fn assemble(mut elements: Vec<Element>, comments: Vec<String>, encoding: Encodin
         return Err("its vertices have no properties".into());
     }
     let rest = vertex.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+    let has = |name| vertex.properties.iter().any(|property| property.name == name);
     Ok(PlyHeader {
         gaussians: vertex.count,
         sh_degree: degree(rest)?,
-        has_filter_3d: vertex.properties.iter().any(|property| property.name == "filter_3D"),
+        has_filter_3d: has("filter_3D"),
+        is_2dgs: has("scale_0") && has("scale_1") && !has("scale_2"),
         screen_filter: screen_filter(&comments),
         comments,
         encoding,

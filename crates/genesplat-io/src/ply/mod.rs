@@ -8,6 +8,7 @@
 //! between them, with fewer harmonics (degree 0 to 2), and as ASCII. What is written and read again has the same bits.
 
 mod error;
+mod fault;
 mod field;
 mod header;
 mod points;
@@ -23,6 +24,8 @@ use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{Gaussians, ScreenFilter};
 
 pub use error::PlyError;
+pub(crate) use fault::faults;
+pub use fault::{Fault, leave_out_faults};
 use header::Encoding;
 pub use header::PlyHeader;
 pub(crate) use header::{Element, filter_comments, preamble, screen_filter};
@@ -75,14 +78,9 @@ pub(crate) fn is_compressed(path: &Path) -> Result<bool, PlyError> {
 
 /// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or a position too far away.
 pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
-    let found = cloud.first_non_finite().or_else(|| {
-        let mut filters = cloud.filter_3d.iter().flatten();
-        let is_none = |filter: &f32| !(filter.is_finite() && *filter >= 0.0);
-        filters.position(is_none).map(|row| (row, "filter_3D"))
-    });
-    match found {
-        None => check_positions(path, cloud.positions.iter().copied()),
-        Some((row, parameter)) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter }),
+    match faults(cloud).next() {
+        None => Ok(()),
+        Some(fault) => Err(PlyError::Gaussian { path: path.to_owned(), fault }),
     }
 }
 

@@ -13,6 +13,10 @@ use super::{PlyError, read_error, text};
 
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
 
+/// Logarithm of the thickness of flat Gaussians: 1e-6 world units, as SuperSplat has it. No camera sees that, and one value
+/// for all rows costs compressed formats nothing.
+const LOG_THICKNESS: f32 = -13.815_511;
+
 const CHUNK_ROWS: usize = 4096;
 
 /// Names of the properties in the order in which they are written.
@@ -52,7 +56,9 @@ pub(super) fn read(header: &PlyHeader, reader: &mut impl BufRead, path: &Path) -
 /// Where each parameter lies in a row: a field of its bytes, or the number of its word.
 struct Layout<Place> {
     position: [Place; 3],
-    log_scale: [Place; 3],
+    log_scale: [Place; 2],
+    /// The third; `None` for flat Gaussians.
+    log_thickness: Option<Place>,
     rotation: [Place; 4],
     opacity: Place,
     /// Index in a row of [`Gaussians::sh`], and the place that fills it.
@@ -66,7 +72,8 @@ impl<Place: Copy> Layout<Place> {
         Ok(Self {
             position: [find("x")?, find("y")?, find("z")?],
             opacity: find("opacity")?,
-            log_scale: [find("scale_0")?, find("scale_1")?, find("scale_2")?],
+            log_scale: [find("scale_0")?, find("scale_1")?],
+            log_thickness: (!header.is_2dgs).then(|| find("scale_2")).transpose()?,
             rotation: [find("rot_0")?, find("rot_1")?, find("rot_2")?, find("rot_3")?],
             sh: sh.map(|(slot, name)| Ok((slot, find(&name)?))).collect::<Result<_, _>>()?,
             filter_3d: header.has_filter_3d.then(|| find("filter_3D")).transpose()?,
@@ -75,7 +82,8 @@ impl<Place: Copy> Layout<Place> {
 
     fn set(&self, row: usize, value: impl Fn(Place) -> f32, cloud: &mut Gaussians) {
         cloud.positions[row] = self.position.map(&value);
-        cloud.log_scales[row] = self.log_scale.map(&value);
+        let [x, y] = self.log_scale.map(&value);
+        cloud.log_scales[row] = [x, y, self.log_thickness.map_or(LOG_THICKNESS, &value)];
         cloud.rotations[row] = self.rotation.map(&value);
         cloud.opacity_logits[row] = value(self.opacity);
         self.sh.iter().for_each(|&(slot, place)| cloud.sh[row][slot] = value(place));

@@ -8,6 +8,7 @@ use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::C0;
 use genesplat_core::{Gaussians, Rng, ScreenFilter, Stream, morton_order};
 use genesplat_io::format::{self, Format, Options, SpzVersion};
+use genesplat_io::ply;
 use tempfile::TempDir;
 
 /// Half the side of the cube that [`varied`] fills.
@@ -475,6 +476,28 @@ fn converters_infinite_opacities_become_opaque_and_transparent() {
     write(&path, &cloud, &Options::default());
     let error = format::read(&path).unwrap_err().to_string();
     assert!(error.contains("cloud.ply") && error.contains("opacity of Gaussian 1 is not finite"), "{error}");
+}
+
+#[test]
+fn a_log_scale_of_minus_infinity_is_a_scale_of_0() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cloud.ply");
+    let mut cloud = varied(16, 3, 0);
+    cloud.log_scales[1][2] = f32::NEG_INFINITY;
+    write(&path, &cloud, &Options::default());
+    let read = format::read(&path).unwrap().cloud;
+    for format in Format::ALL {
+        let path = file(&folder, format);
+        write(&path, &read, &Options::default());
+        let [x, y, z] = format::read(&path).unwrap().cloud.log_scales[1];
+        assert!(z.exp() < 1e-4 && x.min(y) > LOG_SCALES[0] - 0.1, "{format:?}: {x} {y} {z}");
+    }
+    cloud.log_scales[1][2] = f32::INFINITY;
+    write(&path, &cloud, &Options::default());
+    let error = format::read(&path).unwrap_err().to_string();
+    assert!(error.contains("log-scale of Gaussian 1 is not finite"), "{error}");
+    let (sound, faults) = ply::leave_out_faults(format::read_unchecked(&path).unwrap().cloud);
+    assert_eq!((sound, faults.len()), (cloud.gather(&[0, 2]), 1));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use genesplat_core::{Gaussians, Rng, ScreenFilter, Stream};
-use genesplat_io::ply::{self, PlyError};
+use genesplat_io::ply::{self, Fault, PlyError};
 use genesplat_io::{PlyOptions, read_ply, write_ply};
 use proptest::prelude::*;
 
@@ -252,11 +252,14 @@ fn a_value_that_is_not_finite_is_named() {
     assert!(ply::check_finite(&path, &cloud).is_ok());
     cloud.opacity_logits[1] = f32::NAN;
     let error = ply::check_finite(&path, &cloud).unwrap_err();
-    assert!(matches!(error, PlyError::NonFinite { row: 1, parameter: "opacity", .. }), "{error}");
+    let said = "cloud.ply: the opacity of Gaussian 1 is not finite; `genesplat convert cloud.ply OUT` leaves such Gaussians \
+                out";
+    assert_eq!(error.to_string(), said);
     for filter in [f32::NAN, f32::INFINITY, -0.5] {
         let cloud = Gaussians { filter_3d: Some(vec![0.0, 0.1, filter]), ..Gaussians::zeros(3) };
         let error = ply::check_finite(&path, &cloud).unwrap_err();
-        assert!(matches!(error, PlyError::NonFinite { row: 2, parameter: "filter_3D", .. }), "{error}");
+        let is_named = matches!(error, PlyError::Gaussian { fault: Fault { row: 2, parameter: "filter_3D", .. }, .. });
+        assert!(is_named, "{error}");
     }
 }
 
@@ -267,7 +270,53 @@ fn a_position_that_no_scene_has_is_named() {
     assert!(ply::check_finite(Path::new("cloud.ply"), &cloud).is_ok());
     cloud.positions[2][1] = 1e25;
     let error = ply::check_finite(Path::new("cloud.ply"), &cloud).unwrap_err().to_string();
-    assert!(error.contains("cloud.ply: the position of row 2 lies beyond 1e9 world units"), "{error}");
+    assert!(error.contains("cloud.ply: the position of Gaussian 2 lies beyond 1e9 world units"), "{error}");
+}
+
+#[test]
+fn gaussians_that_cannot_be_shown_are_left_out_and_named() {
+    let opacity_logits = (0..7u8).map(f32::from).collect();
+    let sound = Gaussians { filter_3d: Some(vec![0.1; 7]), opacity_logits, ..Gaussians::zeros(7) };
+    assert_eq!(ply::leave_out_faults(sound.clone()), (sound.clone(), Vec::new()));
+    let mut cloud = sound.clone();
+    cloud.sh[1][47] = f32::INFINITY;
+    (cloud.rotations[3][2], cloud.positions[3][0]) = (f32::NAN, f32::NAN);
+    cloud.positions[4][1] = -1e25;
+    cloud.filter_3d.as_mut().unwrap()[6] = f32::NAN;
+    // No direction is no rotation, as for every renderer here.
+    cloud.rotations[5] = [0.0; 4];
+    let (left, faults) = ply::leave_out_faults(cloud.clone());
+    assert_eq!(left, cloud.gather(&[0, 2, 5]));
+    let said: Vec<String> = faults.iter().map(Fault::to_string).collect();
+    assert_eq!(
+        said,
+        [
+            "the colour of Gaussian 1 is not finite",
+            "the position of Gaussian 3 is not finite",
+            "the position of Gaussian 4 lies beyond 1e9 world units",
+            "the filter_3D of Gaussian 6 is not finite"
+        ]
+    );
+}
+
+#[test]
+fn flat_gaussians_get_a_thickness() {
+    let folder = Folder::new();
+    let path = folder.file("cloud.ply");
+    let cloud = Gaussians { log_scales: vec![[-1.0, -2.0, -3.0]; 2], ..Gaussians::zeros(2) };
+    write_ply(&path, &cloud, &PlyOptions { sh_degree: 0, ..PlyOptions::default() }).unwrap();
+    assert!(!ply::read_ply_with_header(&path).unwrap().0.is_2dgs);
+    let text = in_ascii(&path);
+    // Words of the third scale go with its line.
+    let (header, rows) = text.split_once("end_header\n").unwrap();
+    let flat = header.replace("property float scale_2\n", "") + "end_header\n" + &rows.replace("-1 -2 -3", "-1 -2");
+    fs::write(&path, &flat).unwrap();
+    let (header, read) = ply::read_ply_with_header(&path).unwrap();
+    assert!(header.is_2dgs);
+    assert_eq!(read.log_scales, [[-1.0, -2.0, 1e-6f32.ln()]; 2]);
+    assert_eq!(Gaussians { log_scales: cloud.log_scales.clone(), ..read }, cloud);
+    fs::write(&path, flat.replace("property float scale_1", "property float size")).unwrap();
+    assert!(read_ply(&path).unwrap_err().to_string().contains("lack scale_1"));
 }
 
 #[test]

@@ -7,7 +7,8 @@ use anyhow::{Result, bail, ensure};
 use genesplat::core::Gaussians;
 use genesplat::core::gaussians::sigmoid;
 use genesplat::io::format::{self, Format, Options};
-use genesplat::io::shown;
+use genesplat::io::ply::leave_out_faults;
+use genesplat::io::{plural, shown};
 
 use crate::args::ConvertArgs;
 use crate::run::CLOUD;
@@ -18,7 +19,7 @@ use crate::terminal::numbers::thousands;
 use crate::terminal::output;
 use crate::{device, files, splat};
 
-/// Reads, cuts, writes, and says what that cost.
+/// Reads, cleans, cuts, writes, and says what that cost.
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let format = files::format_of(&args.out)?;
@@ -27,13 +28,15 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         "--spz-version is for .spz, and {} is none; leave it out",
         shown(&args.out)
     );
-    let splat = splat::open(&args.splat)?.on(args.on);
+    let mut splat = splat::open_unchecked(&args.splat)?.on(args.on);
+    let in_file = splat.cloud.len();
+    splat.cloud = clean(splat.cloud, &args.splat)?;
     let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos)).transpose()?;
     if let Some(scene) = &scene {
         check_test_photos(&args.splat, scene)?;
         ensure!(!scene.test.is_empty(), "{} has no test photos to measure a loss on; leave --data out", scene.name);
     }
-    say_size("read from", &args.splat, splat.cloud.len())?;
+    say_size("read from", &args.splat, in_file)?;
     let cloud = cut(&splat.cloud, args)?;
     let options = Options {
         screen_filter: splat.settings.filter,
@@ -58,6 +61,18 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let before = score("before", splat)?;
     let after = score("after", splat::open(&args.out)?)?;
     output::print(&format!("lost   {:.2} dB", before - after))
+}
+
+/// The Gaussians that can be shown; a notice counts the others.
+fn clean(cloud: Gaussians, path: &Path) -> Result<Gaussians> {
+    let in_file = thousands(cloud.len());
+    let (cloud, faults) = leave_out_faults(cloud);
+    let Some(first) = faults.first() else { return Ok(cloud) };
+    let count = thousands(faults.len());
+    let since = plural(faults.len(), "is left out, since", "are left out, the first since");
+    ensure!(!cloud.is_empty(), "no Gaussian of {} can be shown, the first since {first}; export it again", shown(path));
+    output::tell(&format!("notice: {count} of {in_file} Gaussians {since} {first}"));
+    Ok(cloud)
 }
 
 /// The Gaussians that are asked for.

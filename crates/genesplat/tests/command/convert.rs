@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use genesplat::core::Gaussians;
 use genesplat::core::gaussians::sigmoid;
 use genesplat::io::format::{self, Format};
+use genesplat::io::{PlyOptions, write_ply};
 use tempfile::TempDir;
 
 use crate::support::{fail, json, number, real_data, run, scene, succeed, text, train};
@@ -77,6 +79,59 @@ fn splats_are_cut_on_the_way() {
     assert_eq!(pruned.len(), visible.count());
     assert_eq!(convert(&["--sh-degree", "0"]).sh_degree_in_use(), 0);
     fail(["convert", text(&run), text(&out), "--crop", "90,90,90,91,91,91"], &["no Gaussian", "--crop"]);
+}
+
+#[test]
+fn gaussians_that_cannot_be_shown_are_left_out_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("in.ply"), folder.path().join("out.ply"));
+    let mut cloud = format::read(&finished_run().join("point_cloud.ply")).unwrap().cloud;
+    let (whole, rows) = (cloud.clone(), cloud.len() as u32);
+    let save = |cloud: &Gaussians| write_ply(&path, cloud, &PlyOptions::default()).unwrap();
+    let notices = |data: &[&str]| {
+        let output = run(["convert", text(&path), text(&out)].iter().chain(data));
+        assert!(output.status.success(), "{output:?}");
+        (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    cloud.positions[5][1] = f32::NAN;
+    save(&cloud);
+    let (said, notice) = notices(&["--data", text(scene())]);
+    let one = format!("notice: 1 of {rows} Gaussians is left out, since the position of Gaussian 5 is not finite\n");
+    assert!(notice.replace(',', "").contains(&one.replace(',', "")), "{notice}");
+    let lines = ["read from", "written to"].map(|what| said.lines().find(|line| line.contains(what)).unwrap());
+    assert_eq!(lines.map(|line| figure(line, "", 0)), [f64::from(rows), f64::from(rows - 1)]);
+    let left: Vec<u32> = (0..rows).filter(|&row| row != 5).collect();
+    assert_eq!(format::read(&out).unwrap().cloud, whole.gather(&left));
+    let advice = format!("`genesplat convert {} OUT` leaves such Gaussians out", text(&path));
+    fail(["evaluate", text(&path), "--data", text(scene())], &["position of Gaussian 5 is not finite", &advice]);
+    fail(["inspect", text(&path)], &[&advice]);
+
+    cloud.sh[3][0] = f32::INFINITY;
+    save(&cloud);
+    let many = "Gaussians are left out, the first since the colour of Gaussian 3 is not finite";
+    assert!(notices(&[]).1.contains(many));
+    cloud.opacity_logits.fill(f32::NAN);
+    save(&cloud);
+    fail(
+        ["convert", text(&path), text(&out)],
+        &["no Gaussian of", "in.ply", "opacity of Gaussian 0", "export it again"],
+    );
+}
+
+#[test]
+fn flat_gaussians_are_shown_with_a_thickness() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("2dgs.ply"), folder.path().join("out.spz"));
+    let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 rot_0 rot_1 rot_2 rot_3";
+    let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
+    let row = "0 0 2 1 1 1 3 -2 -3 1 0 0 0";
+    std::fs::write(&path, format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n{row}\n")).unwrap();
+    for words in [vec!["inspect", text(&path)], vec!["convert", text(&path), text(&out)]] {
+        let output = run(words);
+        let notices = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success() && notices.contains("2dgs.ply are flat (2DGS"), "{notices}");
+    }
+    assert_eq!(run(["inspect", text(&out)]).stderr, b"", "what was written has a third scale");
 }
 
 #[test]

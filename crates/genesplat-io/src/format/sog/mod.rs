@@ -180,7 +180,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     let is_antialiased = meta.antialias || meta.model.as_deref() == Some(meta::ANTIALIASED);
     let screen_filter = if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic };
     let sh_degree = meta.sh_n.map_or(0, |palette| palette.bands);
-    Ok(Decoded { cloud, sh_degree, screen_filter: Some(screen_filter) })
+    Ok(Decoded { cloud, sh_degree, screen_filter: Some(screen_filter), is_2dgs: false })
 }
 
 fn read_means(archive: &mut Archive, means: &Means, count: usize) -> Result<Vec<[f32; 3]>, FormatError> {

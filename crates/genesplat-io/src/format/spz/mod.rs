@@ -85,7 +85,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     }
     let is_antialiased = header.flags & FLAG_ANTIALIASED != 0;
     let screen_filter = Some(if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic });
-    Ok(Decoded { cloud, sh_degree: header.sh_degree.min(SH_DEGREE_MAX), screen_filter })
+    Ok(Decoded { cloud, sh_degree: header.sh_degree.min(SH_DEGREE_MAX), screen_filter, is_2dgs: false })
 }
 
 pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
