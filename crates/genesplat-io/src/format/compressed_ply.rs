@@ -35,11 +35,15 @@ const BITS: [u32; 3] = [11, 10, 11];
 /// Half the range of the spherical harmonics in a file.
 const SH_MAX: f32 = 4.0;
 
+/// Smaller scales are written as this (2e-9 world units): one without a thickness would cost its whole chunk its digits.
+const LOG_SCALE_MIN: f32 = -20.0;
+
 /// Least and largest value on three axes.
 type Bounds = [[f32; 3]; 2];
 
 pub(super) fn encode(cloud: &Gaussians, options: &Options) -> Vec<u8> {
-    let cloud = cloud.gather(&morton_order(&cloud.positions));
+    let mut cloud = cloud.gather(&morton_order(&cloud.positions));
+    cloud.log_scales.as_flattened_mut().iter_mut().for_each(|value| *value = value.max(LOG_SCALE_MIN));
     let rest = coefficients(cloud.sh_degree_in_use()) - 1;
     let chunks: Vec<Range<usize>> =
         (0..cloud.len()).step_by(CHUNK_ROWS).map(|first| first..(first + CHUNK_ROWS).min(cloud.len())).collect();

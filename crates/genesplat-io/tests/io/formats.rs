@@ -259,6 +259,20 @@ fn what_is_read_and_written_again_stays() {
     }
 }
 
+#[test]
+fn a_gaussian_without_a_thickness_costs_its_neighbours_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cloud = varied(6, 250, 2);
+    cloud.log_scales[9][2] = f32::MIN_POSITIVE.ln();
+    let path = file(&folder, Format::CompressedPly);
+    write(&path, &cloud, &Options::default());
+    let mut read: Vec<f32> = format::read(&path).unwrap().cloud.log_scales.iter().map(|scales| scales[2]).collect();
+    let mut wanted: Vec<f32> = cloud.log_scales.iter().map(|scales| scales[2].max(-20.0)).collect();
+    [&mut read, &mut wanted].into_iter().for_each(|values| values.sort_by(f32::total_cmp));
+    // 10 bits between -20 and what is usual.
+    assert!(read.iter().zip(&wanted).all(|(read, wanted)| (read - wanted).abs() < 0.012), "{read:?}");
+}
+
 /// Rows leave along the Morton curve; nothing but their order changes.
 #[test]
 fn rows_may_change_their_order_and_no_more() {
