@@ -135,7 +135,7 @@ fn of_several_models_the_one_with_the_most_photos_is_used() {
         // Of equal ones the first, and the only one whatever it is called.
         write_form(&sparse("1"), form, &tiny_model(2));
         fs::remove_dir_all(sparse("10")).unwrap();
-        assert!(found(folder.path()).1.contains("sparse/0, the largest"));
+        assert!(found(folder.path()).1.contains("sparse/0 is used, the largest"));
         fs::remove_dir_all(sparse("0")).unwrap();
         assert_eq!(load(folder.path()).unwrap().train.len(), 1);
     }
