@@ -106,6 +106,12 @@ mod tests {
     }
 
     #[test]
+    fn eight_bit_values_are_rounded_and_clamped() {
+        let planes = vec![0.49 / 255.0, 0.51 / 255.0, 254.6 / 255.0, 1.5, -0.1, 0.0];
+        assert_eq!(Image { width: 2, height: 1, planes }.to_photo().rgb, [0, 255, 0, 1, 255, 0]);
+    }
+
+    #[test]
     fn eight_bit_values_survive_the_round_trip() {
         let rgb: Vec<u8> = (0..=255).flat_map(|v| [v, 255 - v, v / 2]).collect();
         let photo = Photo { width: 16, height: 16, rgb };

@@ -103,7 +103,13 @@ pub fn evaluate(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use genesplat_core::{Camera, Mask, Rng, Stream};
+
     use super::*;
+    use crate::lpips::Net;
+    use crate::weights::Tensor;
 
     fn score(psnr: f64, lpips: Option<f64>) -> ViewScore {
         ViewScore { name: "a.png".into(), psnr, ssim: 0.5, lpips }
@@ -115,6 +121,23 @@ mod tests {
         assert_eq!((evaluation.psnr, evaluation.ssim, evaluation.lpips), (25.0, 0.5, Some(0.2)));
         assert_eq!(Evaluation::from_views(vec![score(20.0, Some(0.1)), score(30.0, None)]).lpips, None);
         assert_eq!(Evaluation::from_views(Vec::new()).lpips, None);
+    }
+
+    #[test]
+    fn lpips_does_not_see_what_a_mask_hides() {
+        let value = |i: usize| Rng::new(3).at(Stream::Test, 0, i as u32, 0).uniform(0) - 0.5;
+        let tensor = |shape: Vec<usize>| Tensor { values: (0..shape.iter().product()).map(value).collect(), shape };
+        let tensors = Net::AlexNet.tensors().map(|(name, shape)| (name, tensor(shape))).collect();
+        let lpips = Lpips::new(Net::AlexNet, &tensors).unwrap();
+        let columns = |right: u8| (0..32 * 32).flat_map(|i| [if i % 32 < 16 { 99 } else { right }; 3]).collect();
+        let photo = |right: u8| Photo { width: 32, height: 32, rgb: columns(right) };
+        let distance = |mask: Option<Mask>| {
+            let (name, camera) = ("a.png".into(), Camera::at_origin(32, 32, 32.0));
+            let view = View { name, camera, photo: photo(0).into(), mask: mask.map(Arc::new) };
+            score_view(&view, &photo(255), &photo(0), Some(&lpips)).unwrap().lpips.unwrap()
+        };
+        assert!(distance(None) != 0.0);
+        assert_eq!(distance(Some(Mask { counts: (0..32 * 32).map(|i| i % 32 < 16).collect() })), 0.0);
     }
 
     #[test]

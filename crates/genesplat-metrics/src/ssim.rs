@@ -142,6 +142,8 @@ mod tests {
         let sum: f64 = (0..3).flat_map(|channel| map(channel).map(|(value, _)| value)).sum();
         assert!((sum - of_whole(&left)).abs() < 1e-9);
         assert_eq!(ssim_under(None, &a, &b), ssim(&a, &b));
+        // A mean over the pixels that count.
+        assert!((ssim_under(Some(&mask), &a, &a).unwrap() - 1.0).abs() < 1e-12);
     }
 
     #[test]

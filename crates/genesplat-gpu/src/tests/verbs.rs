@@ -33,8 +33,8 @@ pub(super) fn ten_steps(twin: &mut dyn EvolutionBackend, mcmc: Option<McmcStep>)
         let mut step = step(number, settings(2, ScreenFilter::Classic));
         let update = step.update.as_mut().unwrap();
         update.mcmc = mcmc.map(|mcmc| McmcStep { counter: number, ..mcmc });
-        // One step in the middle leaves opacities alone.
-        update.opacity_step = if number == 5 { 0 } else { number };
+        // One step in the middle leaves opacities alone; from there on they have made one less.
+        update.opacity_step = if number < 5 { number } else { (number - 1) * u32::from(number > 5) };
         twin.train_step(&step).unwrap();
     }
 }

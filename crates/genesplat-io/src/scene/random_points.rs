@@ -83,6 +83,22 @@ mod tests {
     }
 
     #[test]
+    fn points_fill_the_whole_cube() {
+        let points = Cube::BLENDER.points(0);
+        let mean = |a: usize, b: usize| {
+            points.iter().map(|point| f64::from(point.position[a] * point.position[b])).sum::<f64>() / 1e5
+        };
+        for (a, b) in [(0, 1), (1, 2), (2, 0)] {
+            assert!((mean(a, b) / (1.3 * 1.3 / 3.0)).abs() < 0.02, "axes {a} and {b} are not independent");
+        }
+        let mut octants = [0; 8];
+        points
+            .iter()
+            .for_each(|point| octants[(0..3).map(|k| usize::from(point.position[k] > 0.0) << k).sum::<usize>()] += 1);
+        assert!(octants.iter().all(|count| (11_500..=13_500).contains(count)), "{octants:?}");
+    }
+
+    #[test]
     fn parallel_cameras_get_the_space_before_them() {
         let cameras: Vec<Camera> = (0..5).map(|i| camera(DVec3::new(f64::from(i), 0.0, 0.0), DVec3::Y)).collect();
         let cube = Cube::seen_by(&cameras);

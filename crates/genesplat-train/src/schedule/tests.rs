@@ -92,6 +92,12 @@ fn a_white_background_resets_once_more_and_costs_opacity_one_step() {
 }
 
 #[test]
+fn without_density_control_not_even_white_resets() {
+    let schedule = schedule(|config| (config.background, config.densify.until) = (Background::White, 0));
+    assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [] as [u32; 0]);
+}
+
+#[test]
 fn evolution_follows_the_four_resets_but_not_the_white_one() {
     let schedule = schedule(|config| {
         config.evolution.mode = EvolutionMode::Paper;

@@ -4,7 +4,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{DensitySignal, Rng, ScreenFilter, Sight};
+use genesplat_core::{DensitySignal, Origin, Rng, ScreenFilter, Sight};
 use genesplat_train::config::Signal;
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
@@ -128,7 +128,20 @@ fn statistics_rates_and_degrees_follow_the_schedule() {
     // Extent 2.2; one three-thousandth of the way from 1.6e-4 to 1.6e-6.
     let expected = 2.2 * 1.6e-4 * 0.01f64.powf(1.0 / 3000.0);
     assert!((f64::from(first.position) / expected - 1.0).abs() < 1e-6, "{}", first.position);
-    assert_eq!((first.opacity, first.sh_rest), (0.05, 1.25e-4));
+    assert_eq!((first.opacity, first.sh_dc, first.sh_rest), (0.05, 2.5e-3, 1.25e-4));
+    assert_eq!((first.scale, first.rotation), (5e-3, 1e-3));
+}
+
+#[test]
+fn a_cloud_has_all_of_its_colours_from_the_first_step_on() {
+    let degrees = |start| {
+        let mut backend = FakeBackend::new();
+        let config = short(|config| config.iterations = 30).resolve().unwrap();
+        train(&mut backend, &views(7), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+        backend.steps().map(|step| step.settings.sh_degree).collect::<Vec<_>>()
+    };
+    assert_eq!(degrees(Start::Cloud(cloud_from_points(&points(20)).unwrap())), [3; 3]);
+    assert_eq!(degrees(Start::Points(points(20))), [0; 3]);
 }
 
 #[test]
@@ -155,6 +168,23 @@ fn rows_with_large_gradients_grow_beside_their_sources() {
     let rows = (0..20u32).flat_map(|row| std::iter::repeat_n(row, if row % 10 == 3 { 2 } else { 1 }));
     assert_eq!(edit.sources, rows.collect::<Vec<_>>());
     assert_eq!((added(edit), edit.iteration), (4, 60));
+}
+
+/// Up to a hundredth of the extent, which is 2.2.
+#[test]
+fn small_rows_are_cloned_and_large_ones_split() {
+    let mut backend = FakeBackend::new();
+    backend.gradient = |_| 3e-4;
+    let mut cloud = cloud_from_points(&points(4)).unwrap();
+    cloud.log_scales = [0.015f32, 0.03, 0.021, 0.023].map(|longest| [longest.ln(), -9.0, -9.0]).to_vec();
+    let config = short(|config| config.iterations = 700).resolve().unwrap();
+    train(&mut backend, &views(7), Start::Cloud(cloud), &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+    let edit = backend.edits().next().unwrap();
+    let children = [0, 1].map(|child| Origin::SplitChild { child });
+    assert_eq!(edit.sources, [0, 0, 1, 1, 2, 2, 3, 3]);
+    for (origins, is_small) in edit.origins.chunks_exact(2).zip([true, false, true, false]) {
+        assert_eq!(origins, if is_small { [Origin::Kept, Origin::Clone] } else { children });
+    }
 }
 
 #[test]
@@ -279,7 +309,10 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
 #[test]
 fn mcmc_regularises_once_for_each_photo_of_a_step() {
     let mut backend = FakeBackend::new();
-    run(&mut backend, short(|config| (config.variant, config.views_per_step) = (Variant::Mcmc, 4))).unwrap();
+    let config = short(|config| {
+        (config.variant, config.views_per_step, config.max_gaussians) = (Variant::Mcmc, 4, Some(27));
+    });
+    run(&mut backend, config).unwrap();
     let updates = backend.steps().filter_map(|step| step.update);
     assert!(
         updates.map(|update| update.mcmc.unwrap()).all(|mcmc| (mcmc.opacity_weight, mcmc.scale_weight) == (0.04, 0.04))
