@@ -130,6 +130,12 @@ mod tests {
     }
 
     #[test]
+    fn each_axis_has_a_field_of_view_of_its_own() {
+        let camera = Camera { focal_px: [20.0, 30.0], ..Camera::at_origin(40, 30, 1.0) };
+        assert_eq!(camera.tan_half_fov(), [1.0, 0.5]);
+    }
+
+    #[test]
     fn the_centre_maps_to_the_origin_and_resizing_keeps_the_view() {
         let camera = Camera {
             focal_px: [500.0, 510.0],

@@ -304,19 +304,24 @@ mod tests {
         let mut parent = Gaussians::zeros(1);
         parent.log_scales[0] = [2f32.ln(), 1f32.ln(), 0.5f32.ln()];
         let n = 4000u32;
-        let mut sums = [0.0f64; 3];
+        let (mut sums, mut products) = ([0.0f64; 3], [0.0f64; 3]);
         for iteration in 0..n {
             let mut edit = RowEdit::new(Rng::new(5), iteration);
             edit.push(0, Origin::SplitChild { child: 0 });
             let mut child = parent.clone();
             edit.apply(&mut child, &mut Moments::zeros(1));
             for axis in 0..3 {
-                sums[axis] += f64::from(child.positions[0][axis]).powi(2) / f64::from(n);
+                let [here, next] = [axis, (axis + 1) % 3].map(|axis| f64::from(child.positions[0][axis]));
+                sums[axis] += here * here / f64::from(n);
+                products[axis] += here * next / f64::from(n);
             }
         }
         for (axis, expected) in [4.0, 1.0, 0.25].into_iter().enumerate() {
             // Four standard errors of a variance estimate: 4 · sqrt(2/n) = 9 %.
             assert!((sums[axis] / expected - 1.0).abs() < 0.09, "axis {axis}: {}", sums[axis]);
+        }
+        for (axis, expected) in [2.0, 0.5, 1.0].into_iter().enumerate() {
+            assert!((products[axis] / expected).abs() < 0.07, "axis {axis} and the next: {}", products[axis]);
         }
     }
 

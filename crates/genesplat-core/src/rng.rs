@@ -157,6 +157,16 @@ mod tests {
     }
 
     #[test]
+    fn all_orders_are_equally_likely() {
+        let mut counts = std::collections::BTreeMap::new();
+        for a in 0..6000 {
+            *counts.entry(Rng::new(3).permutation(Stream::ViewOrder, a, 3)).or_insert(0u32) += 1;
+        }
+        // Four standard errors.
+        assert!(counts.len() == 6 && counts.values().all(|count| count.abs_diff(1000) < 116), "{counts:?}");
+    }
+
+    #[test]
     fn a_permutation_holds_every_index_once_and_differs_between_epochs() {
         let rng = Rng::new(3);
         let mut first = rng.permutation(Stream::ViewOrder, 0, 43);

@@ -80,6 +80,14 @@ fn siblings_share_their_parents_out() {
     }
 }
 
+#[test]
+fn siblings_mutate_in_their_own_ways() {
+    let config = PaperConfig { mutation_rates: [1.0; 3], crossover_rates: [0.0; 3], ..small(1, 10) };
+    let mut search = on_sphere(PaperConfig { initial_mutation_rate: 0.0, ..config }, &normal_base(1000), 5);
+    search.tell(&[1.0; 10]).expect("one loss each");
+    assert_ne!(search.delta(0).rows, search.delta(1).rows);
+}
+
 /// A cloud that follows the shifts, and differences from it, are the same individuals; and the way back leads to the base.
 #[test]
 fn individuals_are_the_same_whatever_they_are_differences_from() {

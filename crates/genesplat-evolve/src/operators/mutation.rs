@@ -222,23 +222,42 @@ mod tests {
     }
 
     #[test]
-    fn u_scales_the_move() {
-        // Half of the Gaussians have no gradient, half have one: z is -1 and +1, u is 0.2689 and 0.7311.
-        let base = base(1000);
-        let sum = (0..1000).map(|row| [if row < 500 { 0.0 } else { 3.0 }; GENES]).collect();
-        let gradients = GeneGradients { sum, views: vec![2; 1000] };
-        let config = PaperConfig { selection_fraction: 1.0, ..PaperConfig::default() };
-        let mutation = mutation(&config, &base, Some(gradients));
-        let mut squares = [0.0f64; 2];
-        for individual in 0..20 {
-            let delta = mutant(&mutation, &base, Address { generation: 1, individual }, 1.0);
-            for (&row, gene) in delta.rows.iter().zip(&delta.genes) {
-                squares[usize::from(row >= 500)] += f64::from(gene[6] - base[row as usize][6]).powi(2) / 10_000.0;
-            }
+    fn groups_mutate_independently() {
+        let base = base(4000);
+        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let address = Address { generation: 1, individual: 0 };
+        let Mutations { position, scale, opacity } = mutation(&config, &base, None).draw(address, 0.5);
+        for (a, b) in [(&position.rows, &scale.rows), (&scale.rows, &opacity.rows), (&opacity.rows, &position.rows)] {
+            let both = a.iter().filter(|row| b.contains(row)).count();
+            // Four and a half standard errors of a quarter.
+            assert!(both.abs_diff(1000) < 124, "{both}");
         }
-        for (square, u) in squares.into_iter().zip([0.268_941, 0.731_059]) {
-            // alpha = 0.1, sigma of the opacity column = 7; four and a half standard errors of 10,000 draws.
-            assert!((square.sqrt() / (0.1 * 7.0 * u) - 1.0).abs() < 4.5 / 20_000f64.sqrt(), "{square}");
+    }
+
+    #[test]
+    fn u_scales_the_move() {
+        // Half of the Gaussians have no gradient in a group, half have one: z is -1 and +1, u is 0.2689 and 0.7311.
+        let base = base(1000);
+        for group in Group::ALL {
+            let (first, genes) = (group.start(), group.start()..group.start() + group.width());
+            let gradient = |row, gene| if row < 500 || !genes.contains(&gene) { 0.0 } else { 3.0 };
+            let sum = (0..1000).map(|row| std::array::from_fn(|gene| gradient(row, gene))).collect();
+            let gradients = GeneGradients { sum, views: vec![2; 1000] };
+            let config = PaperConfig { selection_fraction: 1.0, ..PaperConfig::default() };
+            let mutation = mutation(&config, &base, Some(gradients));
+            let mut squares = [0.0f64; 2];
+            for individual in 0..20 {
+                let delta = mutant(&mutation, &base, Address { generation: 1, individual }, 1.0);
+                for (&row, gene) in delta.rows.iter().zip(&delta.genes) {
+                    let by = f64::from(gene[first] - base[row as usize][first]);
+                    squares[usize::from(row >= 500)] += by.powi(2) / 10_000.0;
+                }
+            }
+            for (square, u) in squares.into_iter().zip([0.268_941, 0.731_059]) {
+                // alpha = 0.1, sigma of column c = c + 1; four and a half standard errors of 10,000 draws.
+                let expected = 0.1 * (first + 1) as f64 * u;
+                assert!((square.sqrt() / expected - 1.0).abs() < 4.5 / 20_000f64.sqrt(), "{group:?}: {square}");
+            }
         }
     }
 

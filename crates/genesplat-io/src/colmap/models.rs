@@ -158,6 +158,39 @@ mod tests {
         );
     }
 
+    /// COLMAP's formulas (`sensor/models.h`).
+    #[test]
+    fn coefficients_bend_what_colmap_bends_with_them() {
+        let (point, [p1, p2], [sx, sy]) = ([0.3, 0.2], [0.01, -0.03], [0.02, -0.05]);
+        let square = |[x, y]: [f64; 2]| x * x + y * y;
+        let series = |r2: f64, k: [f64; 4]| 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])));
+        let bent = |[x, y]: [f64; 2], radial: f64| {
+            let r2 = square([x, y]);
+            [
+                radial * x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                radial * y + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y),
+            ]
+        };
+        let r2 = square(point);
+        let angles = point.map(|coordinate| coordinate * r2.sqrt().atan() / r2.sqrt());
+        let t2 = square(angles);
+        let of_prism = bent(angles, series(t2, [0.1, -0.2, 0.3, -0.4]));
+        let full = series(r2, [0.1, -0.2, 0.3, 0.0]) / series(r2, [-0.4, 0.5, -0.6, 0.0]);
+        for (model, coefficients, [x, y]) in [
+            ("OPENCV", &[0.1, -0.2, p1, p2][..], bent(point, series(r2, [0.1, -0.2, 0.0, 0.0]))),
+            ("FULL_OPENCV", &[0.1, -0.2, p1, p2, 0.3, -0.4, 0.5, -0.6], bent(point, full)),
+            (
+                "THIN_PRISM_FISHEYE",
+                &[0.1, -0.2, p1, p2, 0.3, -0.4, sx, sy],
+                [of_prism[0] + sx * t2, of_prism[1] + sy * t2],
+            ),
+        ] {
+            let lens = read(model, &[&[1.0, 1.0, 0.0, 0.0], coefficients].concat()).unwrap().1.unwrap();
+            let shown = lens.distort(point);
+            assert!((shown[0] - x).hypot(shown[1] - y) < 1e-12, "{model}: {shown:?}, and not {x}, {y}");
+        }
+    }
+
     #[test]
     fn coefficients_of_zero_are_a_pinhole_and_others_must_be_finite() {
         assert_eq!(read("OPENCV", &[5.0, 6.0, 3.0, 2.0, 0.0, 0.0, 0.0, 0.0]).unwrap(), ([5.0, 6.0, 3.0, 2.0], None));

@@ -81,7 +81,7 @@ impl From<PhotoMask> for Mask {
 
 #[cfg(test)]
 mod tests {
-    use super::super::resize;
+    use super::super::{resize, write_png};
     use super::*;
 
     fn stripes(size: [u32; 2]) -> PhotoMask {
@@ -92,6 +92,14 @@ mod tests {
     fn noise(size: [u32; 2], seed: u32) -> Photo {
         let rgb = (0..3 * size[0] * size[1]).map(|at| (at.wrapping_mul(2_654_435_761 ^ seed) >> 24) as u8).collect();
         Photo { width: size[0], height: size[1], rgb }
+    }
+
+    #[test]
+    fn whatever_is_not_black_counts() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, rgb) = (folder.path().join("mask.png"), vec![255, 0, 0, 0, 0, 0, 0, 0, 9]);
+        write_png(&file, &Photo { width: 3, height: 1, rgb }).unwrap();
+        assert_eq!(PhotoMask::open(&file).unwrap().counts, [true, false, true]);
     }
 
     #[test]

@@ -223,3 +223,15 @@ fn is_same_shape(original: [u32; 2], [width, height]: [u32; 2]) -> bool {
     let expected_height = f64::from(original[1]) * f64::from(width) / f64::from(original[0]);
     (expected_height - f64::from(height)).abs() <= (0.005 * f64::from(height)).max(2.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shape_may_differ_by_half_a_percent_or_two_pixels() {
+        let is_same = |height: u32| is_same_shape([2000, 2000], [1000, height]);
+        assert_eq!([994, 996, 1004, 1006].map(is_same), [false, true, true, false]);
+        assert!(is_same_shape([100, 100], [50, 48]) && !is_same_shape([100, 100], [50, 47]));
+    }
+}

@@ -14,6 +14,7 @@ fn sizes_follow_the_reference() {
     let cases = [
         (PhotoSize::Auto, (1600, 1200), (1600, 1200)),
         (PhotoSize::Auto, (2000, 1333), (1600, 1066)),
+        (PhotoSize::Auto, (2000, 1332), (1600, 1065)),
         // 1601 / (1601 / 1600) is a hair below 1600, in Python as here.
         (PhotoSize::Auto, (1601, 1000), (1599, 999)),
         (PhotoSize::Auto, (900, 4000), (900, 4000)),

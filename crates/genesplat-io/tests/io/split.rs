@@ -38,6 +38,16 @@ fn any_interval_and_any_list_can_be_held_out() {
     assert_eq!(held_out(HoldOut::None), [""; 0]);
 }
 
+/// Whole names would have the hyphen before the dot.
+#[test]
+fn names_are_sorted_without_their_endings() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = tiny_model(2);
+    (model.images[0].name, model.images[1].name) = ("a-1.png".into(), "a.png".into());
+    write_scene(folder.path(), Form::Binary, &model);
+    assert_eq!(split(folder.path(), HoldOut::EveryEighth).unwrap(), [["a.png"], ["a-1.png"]]);
+}
+
 #[test]
 fn a_listed_photo_is_one_photo_of_the_scene() {
     let folder = tempfile::tempdir().unwrap();

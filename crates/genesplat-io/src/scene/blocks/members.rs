@@ -112,6 +112,11 @@ mod tests {
     }
 
     #[test]
+    fn what_is_behind_a_camera_is_not_shown() {
+        assert_eq!(shown_by(&Camera::at_origin(100, 100, 50.0), &[DVec3::NEG_Z, DVec3::Z]), [1]);
+    }
+
+    #[test]
     fn a_block_has_all_points_that_its_photos_show() {
         let places = [60.0, 101.0, 150.0];
         let members = members(&places, 0.0);
