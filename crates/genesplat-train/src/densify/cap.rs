@@ -83,7 +83,9 @@ fn cap_from_photos(views: &[View], capacity: f64) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::{Camera, Photo, StoredPhoto};
+    use std::sync::Arc;
+
+    use genesplat_core::{Camera, Mask, Photo, StoredPhoto};
 
     use super::*;
     use crate::config::Variant;
@@ -117,6 +119,9 @@ mod tests {
         assert_eq!(cap(off, Variant::Mcmc, None, 1.0), Some(mcmc::DEFAULT_CAP));
         assert_eq!(cap(off, Variant::ImprovedGs, None, 1.0), Some(1_000_000));
         assert_eq!(cap(off, Variant::ImprovedGs, Some(7), 1.0), Some(7));
+        let half = Arc::new(Mask { counts: (0..600).map(|pixel| pixel < 300).collect() });
+        let masked: Vec<View> = views.iter().map(|view| View { mask: Some(half.clone()), ..view.clone() }).collect();
+        assert_eq!(cap_from_photos(&masked, 1.0), 450, "what is hidden determines nothing");
         let many = vec![views[0].clone(); 100];
         assert_eq!(cap_from_photos(&many, 1.0), 2000, "600 pixels of one photo over 0.3");
         let (width, height) = (400, 400);

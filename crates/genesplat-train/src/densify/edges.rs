@@ -63,6 +63,14 @@ mod tests {
     }
 
     #[test]
+    fn the_weakest_edge_is_zero() {
+        let greys = [0, 0, 10, 0, 0, 0, 30, 0, 0];
+        let photo = Photo { width: 9, height: 1, rgb: greys.iter().flat_map(|&grey| [grey; 3]).collect() };
+        let mask = Mask { counts: (0..9).map(|pixel| pixel % 4 != 0).collect() };
+        assert_eq!(edges(&photo, Some(&mask)), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
     fn a_photo_of_one_colour_has_no_edges() {
         for (width, height) in [(1, 1), (5, 2)] {
             let rgb = vec![77; 3 * (width * height) as usize];

@@ -73,6 +73,13 @@ mod tests {
     }
 
     #[test]
+    fn of_two_focal_lengths_the_horizontal_one_counts() {
+        let camera = Camera { focal_px: [100.0, 200.0], ..camera_at(0.0, 1.0) };
+        let filter = filter_3d(&[[0.0, 0.0, 5.0]], [camera].iter());
+        assert!((f64::from(filter[0]) - 0.2f64.sqrt() * 5.0 / 100.0).abs() < 1e-8, "{filter:?}");
+    }
+
+    #[test]
     fn all_cameras_are_asked_of_every_position() {
         let rng = Rng::new(5);
         let positions: Vec<[f32; 3]> = (0..5000)

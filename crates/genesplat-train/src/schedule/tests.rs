@@ -415,6 +415,12 @@ fn scaling_keeps_the_shape_and_truncation_keeps_the_rates() {
 }
 
 #[test]
+fn the_end_of_a_run_is_no_checkpoint() {
+    let schedule = schedule(|config| config.checkpoint_every = 10_000);
+    assert!((1..=30_000).filter(|&i| schedule.is_checkpoint(i)).eq([10_000, 20_000]));
+}
+
+#[test]
 fn the_position_rate_decays_a_hundredfold() {
     let schedule = schedule(|_| {});
     let at = |i| f64::from(schedule.rates(5.0, i).position);

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use genesplat_core::gaussians::logit;
 use genesplat_core::{Backend, DensitySignal, Origin, RenderSettings, RowEdit};
+use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, edge_scores, train};
 
 use crate::support::{Call, FakeBackend, Told, points, resumed, views};
@@ -106,6 +108,20 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
         calls.map(|call| if let Call::Weigh { views, .. } = call { views.len() } else { 0 }).sum::<usize>()
     };
     assert_eq!([3300, 3400, 3500, 6400].map(weighed), [10, 23, 10, 23]);
+}
+
+/// Half of the cloud, where a fifth is the least.
+#[test]
+fn all_that_is_faint_after_a_reset_is_pruned() {
+    let mut backend = backend();
+    let mut config = TrainConfig { steps_scale: 1.0, iterations: 3400, ..config() };
+    (config.densify.every, config.densify.reset_every) = (100, 3000);
+    (config.max_gaussians, config.optimiser.opacity) = (Some(20), Some(0.0));
+    let mut cloud = cloud_from_points(&points(20)).unwrap();
+    cloud.opacity_logits[..10].fill(logit(0.015));
+    go(&mut backend, Start::Cloud(cloud), config, &AtomicBool::new(false));
+    let sizes: Vec<usize> = backend.edits().map(|edit| edit.sources.len()).collect();
+    assert_eq!(sizes[sizes.len() - 2..], [20, 10], "at 3200 and 3300");
 }
 
 /// A fifth is pruned at 6300, when the budget is at nine tenths: rows before and after it are more than the limit together.

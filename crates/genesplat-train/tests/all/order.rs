@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 use genesplat_core::{DensitySignal, Origin, Rng, ScreenFilter, Sight};
 use genesplat_train::config::Signal;
 use genesplat_train::observe::{DensifyLog, StepLog};
+use genesplat_train::scene::filter_3d::filter_3d;
 use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
 use genesplat_train::{
     Background, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError, Variant, train,
@@ -274,6 +275,18 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
     assert!(matches!(iteration(&backend, 1500), [Call::Step(_)]), "not at the end of densification");
     assert!(matches!(iteration(&backend, 2980), [Call::Step(_), Call::Filter(20)]));
     assert!(matches!(iteration(&backend, 2990), [Call::Step(_)]), "frozen at the end");
+}
+
+#[test]
+fn every_row_of_mip_splatting_begins_with_its_own_filter() {
+    let mut backend = FakeBackend::new();
+    let points: Vec<_> = (0..20).map(|row| ([0.0, 0.01 * row as f32, 1.0 + row as f32], [128; 3])).collect();
+    let config = short(|config| (config.variant, config.iterations) = (Variant::MipSplatting, 10)).resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    let cloud = train(&mut backend, &views(7), Start::Points(points), &config, &mut Silent, &stop).unwrap().cloud;
+    let views = views(7);
+    assert_eq!(cloud.filter_3d, Some(filter_3d(&cloud.positions, views.iter().map(|view| &view.camera))));
+    assert!(cloud.filter_3d.unwrap().windows(2).any(|pair| pair[0] != pair[1]));
 }
 
 #[test]

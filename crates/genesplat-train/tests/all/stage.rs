@@ -183,6 +183,27 @@ fn the_search_is_the_same_whatever_runs_beside_training() {
     assert_eq!((&off, &renew), (&paper, &paper), "gene gradients are used by all");
 }
 
+#[test]
+fn each_stage_draws_its_own_founders() {
+    let (mut backend, mut config) = (FakeBackend::new(), config());
+    (config.evolution.mode, config.steps_scale, config.evolution.paper.generations) = (EvolutionMode::Paper, 0.1, 0);
+    let (start, config, stop) = (Start::Points(points(30)), config.resolve().unwrap(), AtomicBool::new(false));
+    let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
+    // The base, and founders.
+    let populations = backend.scored_rows.chunks_exact(1 + POPULATION as usize);
+    let founders: HashSet<&[Vec<u32>]> = populations.map(|rows| &rows[1..]).collect();
+    assert_eq!((outcome.summary.gaussians, founders.len()), (30, outcome.summary.stages.len()));
+    assert!(founders.len() > 1);
+}
+
+#[test]
+fn moments_are_treated_as_the_configuration_says() {
+    let (mut backend, mut config) = (FakeBackend::new(), config());
+    config.evolution.moments = MomentPolicy::Zero;
+    let rows = run(&mut backend, config, &AtomicBool::new(false)).unwrap().summary.stages[0].changed;
+    assert_eq!(applied(&backend).last(), Some(&&Call::Apply { rows, moments: MomentPolicy::Zero }));
+}
+
 /// Each changes the search, and errors are asked for only where rows are drawn by them: once, on the six fitness views.
 #[test]
 fn options_of_the_search_reach_it() {

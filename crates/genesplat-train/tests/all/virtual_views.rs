@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{Photo, View};
-use genesplat_train::{Outcome, Silent, Start, TrainConfig, TrainError, train};
+use genesplat_core::{Photo, TrainStep, View};
+use genesplat_train::{Background, Outcome, Silent, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, FakeBackend, Keep, Told, points, views};
 
@@ -44,6 +44,28 @@ fn every_second_late_step_looks_between_the_photos() {
     let set = |call: &&Call| matches!(call, Call::SetViews(views) if *views == 2 * PHOTOS);
     // At 300, 400 (resets) and from 500 on.
     assert_eq!(backend.calls.iter().filter(set).count(), 7);
+}
+
+/// Sixteen at a time.
+#[test]
+fn all_pictures_are_made_again() {
+    let mut keep = Keep::default();
+    let resolved = TrainConfig { checkpoint_every: 330, ..config() }.resolve().unwrap();
+    let (start, stop) = (Start::Points(points(20)), AtomicBool::new(false));
+    train(&mut FakeBackend::new(), &views(40), start, &resolved, &mut keep, &stop).unwrap();
+    let [first, last] = [0, 2].map(|at| &keep.0[at].virtual_pictures);
+    let changed = first.iter().zip(last).filter(|(first, last)| first != last).count();
+    // Each of six looks leaves three in five out.
+    assert!(first.len() == 40 && changed > 32, "{changed} of {}", first.len());
+}
+
+#[test]
+fn pictures_have_the_background_that_they_were_made_with() {
+    let backend = steps_of(TrainConfig { background: Background::Random, ..config() });
+    let (on_virtual, on_photos): (Vec<&TrainStep>, Vec<&TrainStep>) =
+        backend.steps().partition(|step| step.view >= PHOTOS);
+    assert!(on_virtual.iter().all(|step| step.settings.background == on_virtual[0].settings.background));
+    assert!(on_photos.windows(2).all(|pair| pair[0].settings.background != pair[1].settings.background));
 }
 
 #[test]

@@ -122,6 +122,11 @@ fn a_row_may_be_relocated_to_and_grown_from_in_one_event() {
     let transparency: f32 = plan.edit.origins.iter().map(|&origin| 1.0 - relocated(origin).0).product();
     assert!((transparency - 0.25).abs() < 1e-5, "together as opaque as before: {transparency}");
     assert!(plan.edit.origins.iter().all(|&origin| !relocated(origin).2));
+    for (opacity, scale, _) in plan.edit.origins.iter().map(|&origin| relocated(origin)) {
+        let again = |&n: &u32| (shared(0.5, n).0 as f32 - opacity).abs() < 1e-5;
+        let expected = shared(0.75, 2).1 * shared(0.5, (1..=3).find(again).unwrap()).1;
+        assert!((f64::from(scale) - expected).abs() < 1e-5, "{scale}, and not {expected}");
+    }
 }
 
 #[test]
@@ -139,6 +144,22 @@ fn the_opaque_are_drawn_in_proportion() {
     let to_first = plan.edit.sources.iter().filter(|&&source| source == 4000).count() - 1;
     // A quarter of 4,000 draws; four standard errors are 4 · sqrt(4000 · 3/16) = 110.
     assert!(to_first.abs_diff(1000) < 110, "{to_first}");
+}
+
+#[test]
+fn growth_is_of_the_opaque() {
+    let opacities = [[0.9; 20], [0.1; 20]].concat();
+    let plan = plan_of(&opacities, Rules { growth: 1.0, ..RULES });
+    let of_first_half = plan.edit.sources.iter().filter(|&&source| source < 20).count() - 20;
+    // Nine in ten of 40.
+    assert!(of_first_half.abs_diff(36) < 6, "{of_first_half}");
+}
+
+#[test]
+fn shared_opacity_has_a_floor() {
+    let plan = plan_of(&[&[0.006][..], &[0.001; 9]].concat(), RULES);
+    assert_eq!(plan.relocated, 9);
+    assert!(plan.edit.origins.iter().all(|&origin| (relocated(origin).0 - MIN_OPACITY).abs() < 1e-7));
 }
 
 #[test]

@@ -93,6 +93,8 @@ pub(crate) struct FakeBackend {
     /// A value of each view's photo.
     shown: Vec<f32>,
     scores: usize,
+    /// The rows in which each individual that was scored differs.
+    pub scored_rows: Vec<Vec<u32>>,
 }
 
 /// How a device fails.
@@ -131,6 +133,7 @@ impl FakeBackend {
             queue: VecDeque::new(),
             shown: Vec::new(),
             scores: 0,
+            scored_rows: Vec::new(),
             mean: StateMean::default(),
             snapshot: None,
             guards_disagree: false,
@@ -451,6 +454,7 @@ impl EvolutionBackend for FakeBackend {
         let (individuals, settings) = (population.len(), *settings);
         self.calls.push(Call::Score { individuals, views: views.to_vec(), settings });
         self.count_score();
+        self.scored_rows.extend(population.iter().map(|delta| delta.rows.clone()));
         let fitness = |delta| self.poison.unwrap_or_else(|| self.fitness(delta));
         Ok(population.iter().flat_map(|delta| vec![fitness(delta); views.len()]).collect())
     }
