@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use genesplat::io::photos::read_photo;
+use genesplat::core::Photo;
+use genesplat::io::photos::{read_photo, resize, write_png};
 use genesplat::metrics::Lpips;
 use genesplat::metrics::lpips::{InputRange, Net, WeightError};
 use genesplat::metrics::weights::{NamedTensors, Tensor, read_weights, to_safetensors};
@@ -163,6 +164,18 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
         let mean = views.iter().map(|view| view["lpips"].as_f64().unwrap()).sum::<f64>() / views.len() as f64;
         assert!(mean > 0.0 && (mean - metrics[split]["lpips"].as_f64().unwrap()).abs() < 1e-12);
     }
+    // Pixels go in as the reference's metrics.py has them, from 0 to 1.
+    let view = metrics["test"]["views"][0].clone();
+    let name = view["name"].as_str().unwrap();
+    let picture = out.join("test").join(Path::new(name).with_extension("png"));
+    let Photo { width, height, .. } = read_photo(&picture).unwrap();
+    let photo = folder.path().join("photo.png");
+    write_png(&photo, &resize(&read_photo(&scene().join("images").join(name)).unwrap(), width, height)).unwrap();
+    let compared = folder.path().join("compared.json");
+    in_cache(&["compare", text(&picture), text(&photo), "--json", text(&compared)]);
+    let distances = json(&compared)["lpips_by_network"]["vgg16"].clone();
+    assert_eq!(view["lpips"], distances["zero_to_one"]);
+    assert_ne!(view["lpips"], distances["minus_one_to_one"]);
     let file = folder.path().join("scores.json");
     let evaluate = ["evaluate", text(&out), "--data", text(scene()), "--json", text(&file)];
     in_cache(&evaluate);
