@@ -384,9 +384,9 @@ impl Figures {
         Some((squares / degrees as f64).sqrt())
     }
 
-    /// Whether the mean is above what single measurements may be off by.
+    /// Whether the mean is farther from zero than single measurements are from it.
     fn exceeds_spread(&self) -> bool {
-        self.average().zip(self.spread()).is_some_and(|(mean, spread)| mean > spread)
+        self.average().zip(self.spread()).is_some_and(|(mean, spread)| mean.abs() > spread)
     }
 
     /// Empty for less than two.
