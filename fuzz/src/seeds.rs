@@ -141,6 +141,7 @@ fn model(file: &str) -> Vec<u8> {
         cameras: [(1, camera), (2, camera)].into(),
         images: vec![image("0001.png"), image("a/b.jpg")],
         points: vec![Point { position: [1.0, 2.0, 3.0], rgb: [1, 2, 3] }; 2],
+        notices: Vec::new(),
     };
     in_folder(|folder| {
         write_model(folder, &model)?;
