@@ -28,4 +28,4 @@ pub use scene::{
     list_scene, load_points, load_scene, mask_of, model_of,
 };
 pub use shown::{command_line, plural, shown};
-pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending};
+pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};

@@ -22,6 +22,11 @@ pub fn ending(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
+/// Whether a file of this name lists photos and cameras as nerfstudio and Blender have them: `transforms_train.json`.
+pub fn is_transforms(name: &str) -> bool {
+    name.starts_with("transforms") && name.ends_with(".json")
+}
+
 pub(crate) fn has_ending(path: &Path, endings: &[&str]) -> bool {
     endings.contains(&ending(path).as_str())
 }

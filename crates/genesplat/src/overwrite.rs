@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use genesplat::io::{Format, PHOTO_ENDINGS, Scene, ending, shown};
+use genesplat::io::{Format, PHOTO_ENDINGS, Scene, ending, is_transforms, shown};
 
 use crate::files::check_writable;
 use crate::run::session::is_part_of_run;
@@ -42,7 +42,7 @@ fn protected(path: &Path, content: Content) -> Option<&'static str> {
         _ if is_picture && content != Content::Picture => Some("a picture"),
         _ if is_picture && is_photo_of_scene(path) => Some("one of the photos of the scene around it"),
         ("cameras" | "images" | "points3d", "bin" | "txt" | "ply") => Some("part of a scene"),
-        (stem, "json") if stem.starts_with("transforms") => Some("part of a scene"),
+        (stem, end) if is_transforms(&format!("{stem}.{end}")) => Some("part of a scene"),
         _ if content != Content::Splat && Format::of(path).is_some() => Some("a splat"),
         _ => None,
     }
@@ -57,7 +57,7 @@ fn is_photo_of_scene(picture: &Path) -> bool {
 }
 
 fn is_scene(folder: &Path) -> bool {
-    let is_description = |name: &str| name == "sparse" || (name.starts_with("transforms") && name.ends_with(".json"));
+    let is_description = |name: &str| name == "sparse" || is_transforms(name);
     let mut entries = fs::read_dir(folder).into_iter().flatten().flatten();
     entries.any(|entry| is_description(&entry.file_name().to_string_lossy()))
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::colmap;
-use crate::similar::entries;
+use crate::similar::{entries, is_transforms};
 
 /// How far up or down a scene may be: from `colmap/sparse/0/images.bin`.
 const LEVELS: usize = 4;
@@ -22,8 +22,7 @@ fn above(path: &Path) -> Option<PathBuf> {
         let below = path.strip_prefix(scene).unwrap_or(path);
         let mut parts = below.components().map(|part| part.as_os_str().to_string_lossy());
         let first = parts.next().unwrap_or_default().to_lowercase();
-        let is_list = first.starts_with("transforms") && first.ends_with(".json");
-        is_list || ["sparse", "colmap", "images", "masks"].contains(&&*first)
+        is_transforms(&first) || ["sparse", "colmap", "images", "masks"].contains(&&*first)
     };
     path.ancestors().skip(1).take(LEVELS).filter(is_part).find(|scene| is_scene(scene)).map(Path::to_owned)
 }

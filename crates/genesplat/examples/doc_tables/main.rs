@@ -7,12 +7,12 @@
 //! cargo run --release --example doc_tables -- --add DIR study-evolution COMMIT MACHINE
 //! ```
 //!
-//! `--add` puts the finished runs of an experiment's folder into a CSV file first: `docs/results/ablations.csv` where the experiment's
-//! name begins with `ablation`, `real-size.csv` beside it otherwise. `--add-busy` does without their seconds, since the machine had other
-//! work.
+//! `--add` puts the finished runs of an experiment's folder into a CSV file first: the one of the experiment's own name in
+//! `docs/results`, else `ablations.csv` where that name begins with `ablation`, else `real-size.csv`. `--add-busy` does without their
+//! seconds, since the machine had other work.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
@@ -29,8 +29,7 @@ fn main() -> Result<()> {
         ["--check"] => write_tables(root, &results, true),
         [add @ ("--add" | "--add-busy"), folder, experiment, commit, machine] => {
             let made = add::Made { experiment, commit, machine, is_idle: *add == "--add" };
-            let is_ablation = experiment.starts_with("ablation");
-            let path = results.join(if is_ablation { "ablations.csv" } else { "real-size.csv" });
+            let path = file_of(experiment, &results);
             let csv = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
             let csv = add::add(&csv, Path::new(folder), &made).with_context(|| path.display().to_string())?;
             fs::write(&path, csv).with_context(|| path.display().to_string())?;
@@ -40,6 +39,14 @@ fn main() -> Result<()> {
             "usage: doc_tables [--check | --add DIR EXPERIMENT COMMIT MACHINE | --add-busy DIR EXPERIMENT COMMIT MACHINE]"
         ),
     }
+}
+
+/// The CSV file that has the runs of an experiment, a preset or a file.
+fn file_of(experiment: &str, results: &Path) -> PathBuf {
+    let stem = Path::new(experiment).file_stem().unwrap_or_default();
+    let own = results.join(stem).with_extension("csv");
+    let usual = if experiment.starts_with("ablation") { "ablations.csv" } else { "real-size.csv" };
+    if own.is_file() { own } else { results.join(usual) }
 }
 
 fn write_tables(root: &Path, results: &Path, check: bool) -> Result<()> {

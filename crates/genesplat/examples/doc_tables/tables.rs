@@ -37,11 +37,12 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 13] = [
+const TABLES: [Table; 14] = [
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
+    Table { name: "fern-unpruned", file: "fern-unpruned", part: |run| Some(run.size()), write: arms },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },

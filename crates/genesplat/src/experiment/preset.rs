@@ -112,7 +112,15 @@ mod tests {
     #[test]
     fn the_settings_beside_the_results_are_valid() {
         let results = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results"));
-        for (study, runs) in [("shoe.toml", 3 * 5), ("shoe-improved.toml", 3), ("tenth.toml", 8 * 2)] {
+        let studies = [
+            ("shoe.toml", 3 * 5),
+            ("shoe-improved.toml", 3),
+            ("tenth.toml", 8 * 2),
+            ("fern-unpruned.toml", 3 * 3),
+            ("fern-seeds.toml", 2 * 4),
+            ("fern-seeds-improved.toml", 2),
+        ];
+        for (study, runs) in studies {
             let path = results.join(study);
             assert_eq!(preset(path.to_str().unwrap()).cells().len(), runs, "{study}");
         }

@@ -8,7 +8,7 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Gaussians, RowOwners, ScreenFilter, Sight};
-use genesplat::io::{PlyOptions, input, ply, shown, write_ply};
+use genesplat::io::{PlyOptions, input, is_transforms, ply, shown, write_ply};
 use genesplat::train::Checkpoint;
 use genesplat::train::checkpoint::JointWriter;
 
@@ -293,7 +293,7 @@ fn foreign_in(path: &Path) -> Option<PathBuf> {
     let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
         "sparse" => path.is_dir(),
         TEST => fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()),
-        name => name.starts_with("transforms") && name.ends_with(".json"),
+        name => is_transforms(name),
     };
     fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).find(is_foreign)
 }

@@ -150,8 +150,30 @@ impl Run<'_> {
             session.write_checkpoint(&checkpoint, cluster::owners(self.cluster))?;
             return Ok(Ended::Unscored);
         };
+        let seconds = PhaseSeconds {
+            load,
+            gradient: summary.seconds.gradient,
+            evolution: summary.seconds.evolution,
+            evaluate: clock.elapsed().as_secs_f64(),
+            total: seconds_before + self.began.elapsed().as_secs_f64(),
+        };
+        let is_interrupted = summary.interrupted;
+        let metrics = self.metrics(summary, (test, train), seconds);
+        if session.writes() {
+            self.write_results(session, &metrics, is_interrupted)?;
+        }
+        if is_interrupted {
+            return Ok(Ended::Stopped(metrics));
+        }
+        if session.writes() {
+            session.finish()?;
+        }
+        Ok(Ended::Whole(metrics))
+    }
+
+    fn metrics(&self, summary: RunSummary, (test, train): (Evaluation, Evaluation), seconds: PhaseSeconds) -> Metrics {
         let config = self.settings.schedule.config();
-        let metrics = Metrics {
+        Metrics {
             schema: 1,
             dataset: self.scene.name.clone(),
             variant: config.variant,
@@ -161,36 +183,25 @@ impl Run<'_> {
             gaussians: summary.gaussians,
             test,
             train,
-            seconds: PhaseSeconds {
-                load,
-                gradient: summary.seconds.gradient,
-                evolution: summary.seconds.evolution,
-                evaluate: clock.elapsed().as_secs_f64(),
-                total: seconds_before + self.began.elapsed().as_secs_f64(),
-            },
+            seconds,
             peak_memory_bytes: memory::peak_bytes(),
             evolution: summary.stages,
-        };
-        if session.writes() {
-            let mut curves = Curves::read(&session.path().join(LOG))?;
-            // A run that was stopped may have just seen an opacity reset.
-            let overfitting = curves.notice_of_overfitting(&metrics).filter(|_| !summary.interrupted);
-            if let Some(notice) = overfitting {
-                if session.caller() == Caller::Train {
-                    output::note(&format!("notice: {notice}"));
-                }
-                curves.notices.push(notice);
+        }
+    }
+
+    /// The page and the figures, and a notice where the run has learnt its photos by heart.
+    fn write_results(&self, session: &RunSession, metrics: &Metrics, is_interrupted: bool) -> Result<()> {
+        let mut curves = Curves::read(&session.path().join(LOG))?;
+        // A run that was stopped may have just seen an opacity reset.
+        let overfitting = curves.notice_of_overfitting(metrics).filter(|_| !is_interrupted);
+        if let Some(notice) = overfitting {
+            if session.caller() == Caller::Train {
+                output::note(&format!("notice: {notice}"));
             }
-            let page = self.report(session.path(), &metrics, curves)?;
-            session.write_results(&page, &metrics)?;
+            curves.notices.push(notice);
         }
-        if summary.interrupted {
-            return Ok(Ended::Stopped(metrics));
-        }
-        if session.writes() {
-            session.finish()?;
-        }
-        Ok(Ended::Whole(metrics))
+        let page = self.report(session.path(), metrics, curves)?;
+        session.write_results(&page, metrics)
     }
 
     /// Scores of the test and training photos for the cloud that `device` holds; `None` where taking them was stopped.

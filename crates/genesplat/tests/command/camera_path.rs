@@ -60,6 +60,11 @@ fn ffmpeg_makes_films_where_it_is_there() {
     }
 }
 
+#[cfg(unix)]
+fn is_png(file: &std::path::Path) -> bool {
+    file.extension().is_some_and(|ending| ending == "png")
+}
+
 /// A program that takes frames for ever stands for ffmpeg.
 #[cfg(unix)]
 #[test]
@@ -74,7 +79,8 @@ fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
     fs::create_dir(&programs).unwrap();
     let ffmpeg = programs.join("ffmpeg");
     // The last word is the file to write.
-    fs::write(&ffmpeg, "#!/bin/sh\nfor file; do :; done\n: >\"$file\"\nexec cat >/dev/null\n").unwrap();
+    let program = "#!/bin/sh\nfor file; do :; done\n: >\"$file\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
+    fs::write(&ffmpeg, program).unwrap();
     fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
     for (name, said) in [("film.mp4", "no "), ("frames", "frames are in")] {
@@ -82,8 +88,8 @@ fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
         let arguments = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit"];
         let mut command = command(arguments.iter().chain(&["--frames", "10000", "--out", text(&place)]));
         let child = command.env("PATH", &path).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        // The film's beginning, or the folder of the first frame.
-        while fs::read_dir(&out).unwrap().next().is_none() {
+        let has_frame = || fs::read_dir(&place).is_ok_and(|mut files| files.any(|file| is_png(&file.unwrap().path())));
+        while !programs.join("ffmpeg.began").exists() || (name == "frames" && !has_frame()) {
             std::thread::sleep(std::time::Duration::from_millis(5));
         }
         assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
