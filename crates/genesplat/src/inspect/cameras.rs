@@ -1,4 +1,4 @@
-//! Cameras that cannot be right: one that sees nothing, one far from all others, a scene before the near plane.
+//! Cameras that cannot be right: one that sees nothing, a scene before the near plane. Of one far from all others the scene tells.
 
 use genesplat::core::constants::NEAR_DEPTH;
 use genesplat::core::{Camera, View, median};
@@ -8,8 +8,6 @@ use rayon::prelude::*;
 
 use super::listed;
 
-/// A camera is far away where its nearest neighbour is so many times farther than usual.
-const FAR: f64 = 15.0;
 /// A photo that sees fewer points has a wrong pose or shows something else.
 const POINTS_MIN: usize = 10;
 /// Points that are looked at, at most.
@@ -58,7 +56,7 @@ fn depths_in_photo(camera: &Camera, positions: &[DVec3]) -> Vec<f64> {
 }
 
 pub(super) fn warnings(views: &[&View], seen: &PointsSeen) -> Vec<String> {
-    [too_small(seen), blind(views, seen), far_away(views)].into_iter().flatten().collect()
+    [too_small(seen), blind(views, seen)].into_iter().flatten().collect()
 }
 
 fn too_small(seen: &PointsSeen) -> Option<String> {
@@ -82,25 +80,6 @@ fn blind(views: &[&View], seen: &PointsSeen) -> Option<String> {
             "{} of {} photos see fewer than {POINTS_MIN} points ({}): their poses are wrong, or they show something else",
             names.len(),
             views.len(),
-            listed(&names)
-        )
-    })
-}
-
-fn far_away(views: &[&View]) -> Option<String> {
-    let centres: Vec<DVec3> = views.iter().map(|view| view.camera.centre_in_world()).collect();
-    let to_nearest = |at: usize| {
-        let others = centres.iter().enumerate().filter(|&(other, _)| other != at);
-        others.map(|(_, centre)| centre.distance(centres[at])).fold(f64::INFINITY, f64::min)
-    };
-    let distances: Vec<f64> = (0..centres.len()).into_par_iter().map(to_nearest).collect();
-    let usual = median(distances.clone()).filter(|usual| *usual > 0.0)?;
-    let far = views.iter().zip(&distances).filter(|(_, distance)| **distance > FAR * usual);
-    let names: Vec<&str> = far.map(|(view, _)| view.name.as_str()).collect();
-    (!names.is_empty()).then(|| {
-        format!(
-            "cameras stand far from all others ({}): the whole scene is scaled by their distance; remove them if their \
-             poses are wrong",
             listed(&names)
         )
     })
@@ -139,12 +118,9 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn cameras_that_see_nothing_or_stand_apart_are_named() {
+    fn cameras_that_see_nothing_are_named() {
         let good = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
         assert_eq!(found(&views(&good), 1.0), [] as [String; 0]);
-        let far = [&good[..], &[[4.0, 0.0, -60.0]]].concat();
-        let warnings = found(&views(&far), 1.0);
-        assert!(warnings.len() == 1 && warnings[0].contains("far from all others (4.jpg)"), "{warnings:?}");
         let blind = [&good[..], &[[4.0, 0.0, 30.0]]].concat();
         let warnings = found(&views(&blind), 1.0);
         assert!(warnings[0].contains("1 of 5 photos see fewer than 10 points (4.jpg)"), "{warnings:?}");
