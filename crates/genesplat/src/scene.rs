@@ -18,19 +18,26 @@ pub(crate) const PHOTO_MEMORY: u64 = 1 << 30;
 /// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go that memory should
 /// not hold.
 pub(crate) fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
-    load_with(&dataset.path, background, LoadOptions { seed, spill, ..dataset.options() })
+    told(read(&dataset.path, background, LoadOptions { seed, spill, ..dataset.options() }))
+}
+
+/// The same to inspect: notices are the caller's to tell.
+pub(crate) fn load_to_inspect(dataset: &Dataset, seed: u64) -> Result<Scene> {
+    read(&dataset.path, [0.0; 3], LoadOptions { seed, ..dataset.options() })
 }
 
 /// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`.
 pub(crate) fn load_to_look(dataset: &Dataset, divisor: u32, background: [f32; 3]) -> Result<Scene> {
-    load_with(&dataset.path, background, LoadOptions { divisor, with_points: false, ..dataset.options() })
+    told(read(&dataset.path, background, LoadOptions { divisor, with_points: false, ..dataset.options() }))
 }
 
-fn load_with(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
+fn read(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
     let background = background.map(|value| (255.0 * value).round() as u8);
-    let scene = load_scene(path, &LoadOptions { background, ..options }, &LoadBar::default())?;
-    scene.notices.iter().for_each(|notice| output::tell(&format!("notice: {notice}")));
-    Ok(scene)
+    Ok(load_scene(path, &LoadOptions { background, ..options }, &LoadBar::default())?)
+}
+
+fn told(scene: Result<Scene>) -> Result<Scene> {
+    scene.inspect(|scene| scene.notices.iter().for_each(|notice| output::tell(&format!("notice: {notice}"))))
 }
 
 pub(crate) fn points(scene: &Scene) -> Vec<ColouredPoint> {

@@ -117,8 +117,8 @@ mod tests {
             ("shoe-improved.toml", 3),
             ("tenth.toml", 8 * 2),
             ("fern-unpruned.toml", 3 * 3),
-            ("fern-seeds.toml", 2 * 4),
-            ("fern-seeds-improved.toml", 2),
+            ("more-seeds.toml", 2 * 2 * 5),
+            ("more-seeds-improved.toml", 2 * 2),
         ];
         for (study, runs) in studies {
             let path = results.join(study);

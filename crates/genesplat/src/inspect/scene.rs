@@ -18,15 +18,16 @@ const QUICK: u32 = 7000;
 
 pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let settings = TrainConfig::default().resolve()?;
-    let scene = scene::load(dataset, [0.0; 3], settings.config().seed, None)?;
+    let scene = scene::load_to_inspect(dataset, settings.config().seed)?;
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
     let seen = points_seen(&views, &scene.points);
     let list = list_scene(&dataset.path, &dataset.options())?;
     let mut facts = found(&scene, &views, &seen)?;
     facts.extend(lenses(&list.photos));
     let no_extent = scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
+    let notices = scene.notices.clone();
     let warnings =
-        [Vec::from_iter(no_extent), list.notices, cameras::warnings(&views, &seen), photos::warnings(&views)?].concat();
+        [Vec::from_iter(no_extent), notices, cameras::warnings(&views, &seen), photos::warnings(&views)?].concat();
     facts.extend(expected(&estimate(&scene, &settings)?, settings.config().iterations));
     Ok(Report { kind: "scene", facts, warnings })
 }

@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::support::{copy_scene, fail, json, number, scene, succeed, text, train};
+use crate::support::{copy_scene, fail, json, number, run, scene, succeed, text, train};
 
 /// What the report says under `name`.
 fn fact(report: &Value, name: &str) -> Value {
@@ -42,8 +42,10 @@ fn what_a_scene_lacks_looks_wrong() {
     let folder = tempfile::tempdir().unwrap();
     copy_scene(folder.path());
     fs::remove_file(folder.path().join("images/gallery_003.png")).unwrap();
-    let said = succeed(["inspect", text(folder.path())]);
+    let output = run(["inspect", text(folder.path())]);
+    let [said, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
     assert!(said.contains("look at: 1 of the 12 photos that") && !said.contains("nothing looks wrong"), "{said}");
+    assert!(!errors.contains("of the 12 photos"), "told twice: {errors}");
 }
 
 #[test]
