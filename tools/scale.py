@@ -104,7 +104,7 @@ def run(genesplat, scene, out, ranks, side, views, iterations, threads=1):
 def stages(genesplat, fox, folder):
     """What `bench step` says of a Gaussian, an intersection and a pixel, with all degrees of colour: seconds of one thread."""
     out = folder / "stages.json"
-    command = [str(genesplat), "bench", "step", "--data", str(fox), "--max-side", "480", "--gaussians", "240000"]
+    command = [str(genesplat.with_name("genesplat-lab")), "bench", "step", "--data", str(fox), "--max-side", "480", "--gaussians", "240000"]
     subprocess.run([*command, "--threads", "1", "--device", "cpu", "--json", str(out)], check=True, capture_output=True)
     figures = json.loads(out.read_text())
     seconds = lambda *names: 1e-3 * sum(figures["stages"][name] for name in names)

@@ -3,7 +3,7 @@
 # written down. An experiment is used, since it loads, grows, evolves, scores and reports many runs in one process: what
 # each run would leak adds up.
 #
-#   tools/soak.sh GENESPLAT SECONDS FOLDER [EVERY]
+#   tools/soak.sh GENESPLAT-LAB SECONDS FOLDER [EVERY]
 #
 # FOLDER/soak.csv gets a line every EVERY seconds (30). Status 0: flat. Status 1: something grew, or the process failed.
 set -euo pipefail

@@ -15,6 +15,8 @@
 //! | [`train`] | the training algorithm, the evolution stage |
 //! | [`viewer`] | the live page: a small server on loopback, and what it shows |
 //! | [`metrics`] | PSNR, SSIM and LPIPS, of two pictures and of all test photos |
+//! | [`run`] | a run: settings, its folder, training into it, figures and pages |
+//! | [`terminal`], [`flags`] | what the programs of this workspace share; not meant for others |
 //!
 //! From photos to figures, here with the bundled scene (made tiny, and trained for a moment):
 //!
@@ -50,5 +52,9 @@ pub use genesplat_gpu as gpu;
 pub use genesplat_io as io;
 pub use genesplat_kernels as kernels;
 pub use genesplat_metrics as metrics;
+pub use genesplat_run as run;
 pub use genesplat_train as train;
 pub use genesplat_viewer as viewer;
+
+pub mod flags;
+pub mod terminal;

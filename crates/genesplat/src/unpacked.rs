@@ -6,11 +6,10 @@ use std::path::Path;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::{self, Unpacked};
 use genesplat::io::{CONVERT, atomic, input, shown};
+use genesplat::run::files::{remove_leftovers, write_json};
+use genesplat::run::lock::Lock;
+use genesplat::run::output;
 use serde::{Deserialize, Serialize};
-
-use crate::files::{remove_leftovers, write_json};
-use crate::run::lock::Lock;
-use crate::terminal::output;
 
 /// In the folder: what was unpacked there, and whether all of it was.
 const RECORD: &str = "unpacked.json";

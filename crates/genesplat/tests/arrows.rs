@@ -8,7 +8,7 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 11] = [
+const ARROWS: [(&str, &[&str]); 13] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
@@ -20,6 +20,20 @@ const ARROWS: [(&str, &[&str]); 11] = [
     ("genesplat-viewer", &["genesplat-core"]),
     ("genesplat-train", &["genesplat-core", "genesplat-evolve"]),
     (
+        "genesplat-run",
+        &[
+            "genesplat-cluster",
+            "genesplat-core",
+            "genesplat-gpu",
+            "genesplat-io",
+            "genesplat-kernels",
+            "genesplat-metrics",
+            "genesplat-train",
+            "genesplat-viewer",
+        ],
+    ),
+    ("genesplat-lab", &["genesplat"]),
+    (
         "genesplat",
         &[
             "genesplat-cluster",
@@ -30,10 +44,41 @@ const ARROWS: [(&str, &[&str]); 11] = [
             "genesplat-io",
             "genesplat-kernels",
             "genesplat-metrics",
+            "genesplat-run",
             "genesplat-train",
             "genesplat-viewer",
         ],
     ),
+];
+
+/// Walls within crates: what does not stand in the code below a path.
+const WALLS: [(&str, &[&str]); 11] = [
+    // A run has no arguments and no terminal, and does not end the process.
+    ("genesplat-run/src", &["clap", "terminal_size", "process::exit", "io::stdout", "io::stderr"]),
+    // Reports know results, and not runs.
+    (
+        "genesplat-run/src/report",
+        &[
+            "crate::cluster",
+            "crate::device",
+            "crate::lock",
+            "crate::output",
+            "crate::reporter",
+            "crate::session",
+            "crate::settings",
+            "crate::training",
+        ],
+    ),
+    // Nothing but commands knows the terminal.
+    ("genesplat/src/args", &["terminal::"]),
+    ("genesplat/src/blocks", &["terminal::"]),
+    ("genesplat/src/flags.rs", &["terminal::"]),
+    ("genesplat/src/inspect", &["terminal::"]),
+    ("genesplat/src/poses", &["terminal::"]),
+    ("genesplat/src/unpacked.rs", &["terminal::"]),
+    ("genesplat-lab/src/args.rs", &["terminal::"]),
+    ("genesplat-lab/src/experiment", &["terminal::"]),
+    ("genesplat-lab/src/tables", &["terminal::"]),
 ];
 
 /// Crates of this workspace that a manifest depends on, on any platform (tests may use more).
@@ -77,6 +122,44 @@ fn a_forbidden_arrow_is_found() {
         );
     }
     assert_eq!(dependencies("[dev-dependencies]\ngenesplat-kernels.workspace = true\n"), [""; 0]);
+}
+
+/// Files of Rust below a path, or the path itself.
+fn code_below(path: &Path) -> Vec<PathBuf> {
+    if path.is_file() {
+        return vec![path.to_owned()];
+    }
+    let entries = std::fs::read_dir(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let files = entries.flat_map(|entry| {
+        let path = entry.expect("readable").path();
+        if path.is_dir() || path.extension().is_some_and(|end| end == "rs") { code_below(&path) } else { Vec::new() }
+    });
+    files.collect()
+}
+
+/// The first line of code, but for comments, in which one of `words` stands.
+fn over_the_wall<'a>(code: &'a str, words: &[&str]) -> Option<&'a str> {
+    let mut lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    lines.find(|line| words.iter().any(|word| line.contains(word)))
+}
+
+#[test]
+fn walls_within_crates_hold() {
+    for (path, words) in WALLS {
+        let files = code_below(&root().join("crates").join(path));
+        assert!(!files.is_empty(), "{path} has code");
+        for file in files {
+            let code = std::fs::read_to_string(&file).expect("code");
+            assert_eq!(over_the_wall(&code, words), None, "{}", file.display());
+        }
+    }
+}
+
+#[test]
+fn a_look_over_a_wall_is_found() {
+    let code = "// terminal::x\nuse genesplat::io;\n    use genesplat::terminal::output;\n";
+    assert_eq!(over_the_wall(code, &["clap", "terminal::"]), Some("    use genesplat::terminal::output;"));
+    assert_eq!(over_the_wall(code, &["clap"]), None);
 }
 
 /// Paths in backquotes, with a folder and a known ending.

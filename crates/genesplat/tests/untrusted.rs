@@ -8,8 +8,15 @@ fn crates() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Crates that read what users give them.
-const READERS: [&str; 3] = ["genesplat-io", "genesplat-metrics", "genesplat"];
+/// Folders of code that reads what users give it. (Tables are made of the project's own documents.)
+const READERS: [&str; 6] = [
+    "genesplat-io/src",
+    "genesplat-metrics/src",
+    "genesplat-run/src",
+    "genesplat/src",
+    "genesplat-lab/src/commands",
+    "genesplat-lab/src/experiment",
+];
 
 /// Each call with the one file that may make it.
 const DOORS: [(&str, &str); 6] = [
@@ -43,7 +50,7 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn files_and_names_of_strangers_come_through_the_doors() {
     let mut seen = 0;
-    for file in READERS.iter().flat_map(|name| sources(&crates().join(name).join("src"))) {
+    for file in READERS.iter().flat_map(|name| sources(&crates().join(name))) {
         let name = file.strip_prefix(crates()).unwrap().to_str().unwrap().replace('\\', "/");
         assert_eq!(detours(&name, &fs::read_to_string(&file).unwrap()), [""; 0]);
         seen += 1;

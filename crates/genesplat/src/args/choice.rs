@@ -1,27 +1,11 @@
 //! Values that a flag takes by name, each with a line of help. The names are those of the configuration file.
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use genesplat::flags::Choice;
 use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
+use genesplat::run::metrics::Split;
 use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, Variant};
-
-/// A value, its names (the first is shown, the others are understood, too), and its help.
-type Choice<T> = (T, &'static [&'static str], &'static str);
-
-/// Parses a flag that takes one of these values.
-pub(crate) fn choice<T>(choices: &'static [Choice<T>]) -> impl TypedValueParser<Value = T>
-where
-    T: Copy + Send + Sync + 'static,
-{
-    let shown = choices
-        .iter()
-        .map(|(_, names, help)| PossibleValue::new(names[0]).aliases(names[1..].iter().copied()).help(*help));
-    PossibleValuesParser::new(shown).map(|name| {
-        let found = choices.iter().find(|(_, names, _)| names.contains(&name.as_str()));
-        found.expect("clap has checked the name").0
-    })
-}
 
 /// `--variant`.
 pub(crate) const VARIANTS: &[Choice<Variant>] = &[
@@ -137,6 +121,10 @@ pub(crate) const SIGNALS: &[Choice<Signal>] = &[
     ),
 ];
 
+/// `--split` of `evaluate`.
+pub(crate) const SPLITS: &[Choice<Split>] =
+    &[(Split::Test, &["test"], "Photos that training never saw"), (Split::Train, &["train"], "Photos that it saw")];
+
 /// `--spz-version`.
 pub(crate) const SPZ_VERSIONS: &[Choice<SpzVersion>] = &[
     (SpzVersion::V3, &["3"], "One gzip stream, which most viewers read"),
@@ -145,10 +133,12 @@ pub(crate) const SPZ_VERSIONS: &[Choice<SpzVersion>] = &[
 
 #[cfg(test)]
 mod tests {
+    use clap::builder::TypedValueParser;
+    use genesplat::flags::choice;
+    use genesplat::run::settings::ConfigFile;
     use serde::Serialize;
 
     use super::*;
-    use crate::settings::ConfigFile;
 
     fn assert_named_as_in_files<T: Serialize>(choices: &[Choice<T>]) {
         for (value, names, _) in choices {
@@ -165,6 +155,7 @@ mod tests {
         assert_named_as_in_files(FIXED_BACKGROUNDS);
         assert_named_as_in_files(SIGNALS);
         assert_named_as_in_files(MASKS);
+        assert_named_as_in_files(SPLITS);
     }
 
     #[test]

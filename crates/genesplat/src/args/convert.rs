@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
+use genesplat::flags::{MachineArgs, choice};
 use genesplat::io::format::SpzVersion;
 
-use super::choice::{SPZ_VERSIONS, choice};
-use super::{MachineArgs, PhotosArgs, ShownOnArgs, fraction};
+use super::choice::SPZ_VERSIONS;
+use super::{PhotosArgs, ShownOnArgs, fraction};
 
 /// What says nothing where no photos are loaded.
 const OF_PHOTOS: [&str; 8] =

@@ -1,23 +1,18 @@
 //! What can be asked for. Help texts are written for someone who has never trained a splat.
 #![allow(missing_docs, reason = "clap would show the documentation of flattened arguments as help")]
 
-use std::ops::{RangeInclusive, RangeTo};
+use std::ops::RangeTo;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use anyhow::Result;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use genesplat::io::PhotoSize;
+use genesplat::flags::{JsonArgs, LpipsArgs, MORE, MachineArgs, VolumeArgs, choice};
+use genesplat::run::metrics::Split;
 use genesplat::train::{Background, EvolutionMode};
-use serde::Serialize;
 
-use crate::device::DeviceChoice;
-use crate::files::write_json;
-use crate::terminal::output::Volume;
-use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, choice};
+use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, SPLITS};
 
-mod bench;
 mod blocks;
 mod choice;
 mod convert;
@@ -28,19 +23,15 @@ mod poses;
 mod tests;
 mod train;
 
-pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
 pub(crate) use blocks::{MergeArgs, SplitArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
-pub(crate) use photos::{HoldOutArgs, PhotosArgs, is_near};
+pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{SearchArgs, TrainArgs};
 
-/// Heading of the flags that few users need.
-const MORE: &str = "More options";
-
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, poses, refine, render, demo, experiment)";
+                           SIGTERM with what there was saved (train, poses, refine, render, demo)";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -55,26 +46,21 @@ pub(crate) struct Arguments {
     pub(crate) volume: VolumeArgs,
 }
 
-/// How much is said on stderr.
-#[derive(Clone, Copy, Debug, Default, Args)]
-#[command(next_help_heading = "Messages")]
-pub(crate) struct VolumeArgs {
-    /// Show errors and the final result only
-    #[arg(short, long, global = true)]
-    quiet: bool,
-    /// Show what helps to find a fault, too: the choice of the device, and messages of graphics drivers
-    #[arg(short, long, global = true, conflicts_with = "quiet")]
-    verbose: bool,
-}
+/// Commands of earlier versions, and where each is now.
+const MOVED: [(&str, &str); 5] = [
+    (
+        "experiment",
+        "genesplat experiment is genesplat-lab experiment now: cargo run --release -p genesplat-lab -- experiment",
+    ),
+    ("bench", "genesplat bench is genesplat-lab bench now: cargo run --release -p genesplat-lab -- bench"),
+    ("compare", "genesplat compare is genesplat evaluate now: genesplat evaluate A.png B.png"),
+    ("lpips", "genesplat lpips install is a flag of evaluate now: genesplat evaluate --install-lpips FILE.."),
+    ("completions", "genesplat completions is a flag of man now: genesplat man --completions SHELL"),
+];
 
-impl VolumeArgs {
-    pub(crate) fn volume(self) -> Volume {
-        match (self.quiet, self.verbose) {
-            (true, _) => Volume::Quiet,
-            (_, true) => Volume::Verbose,
-            _ => Volume::Normal,
-        }
-    }
+/// Where a command of earlier versions is now.
+pub(crate) fn moved(name: &str) -> Option<&'static str> {
+    MOVED.iter().find(|(old, _)| *old == name).map(|(_, place)| *place)
 }
 
 #[derive(Debug, Subcommand)]
@@ -87,7 +73,7 @@ pub(crate) enum Command {
     Poses(PosesArgs),
     /// Look at a scene, a splat or a run: what is in it, what looks wrong, what training will take here
     Inspect(InspectArgs),
-    /// Measure how well a splat reproduces photos: PSNR, SSIM and LPIPS
+    /// Measure how well a splat reproduces photos, or how alike two pictures are: PSNR, SSIM and LPIPS
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
     Render(RenderArgs),
@@ -103,36 +89,10 @@ pub(crate) enum Command {
     Merge(MergeArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
-    /// Measure how alike two pictures are: PSNR, SSIM and LPIPS
-    Compare(CompareArgs),
-    /// Set up LPIPS, a measure that needs the weights of a network
-    Lpips {
-        /// What to do
-        #[command(subcommand)]
-        what: LpipsCommand,
-    },
-    /// Repeat a comparison over scenes, methods and seeds, and make its tables; can be interrupted and goes on
-    Experiment(ExperimentArgs),
-    /// Measure how fast this machine trains
-    Bench {
-        /// What to measure
-        #[command(subcommand)]
-        what: Bench,
-    },
     /// List what this machine can train on
     Devices,
-    /// Print a script that completes commands and flags in a shell
-    Completions {
-        /// Which shell
-        #[arg(value_name = "SHELL")]
-        shell: Shell,
-    },
     /// Print the manual page: genesplat man | man -l -
-    Man {
-        /// Page of this command [default: of them all]
-        #[arg(value_name = "COMMAND")]
-        command: Option<String>,
-    },
+    Man(ManArgs),
 }
 
 #[derive(Debug, Args)]
@@ -146,47 +106,14 @@ pub(crate) struct InspectArgs {
     pub(crate) json: JsonArgs,
 }
 
-/// What can be done about LPIPS.
-#[derive(Debug, Subcommand)]
-pub(crate) enum LpipsCommand {
-    /// Check files of weights and put them where LPIPS is looked for
-    Install(LpipsInstallArgs),
-}
-
 #[derive(Debug, Args)]
-pub(crate) struct LpipsInstallArgs {
-    /// torchvision's VGG16 or AlexNet (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or
-    /// safetensors with both
-    #[arg(value_name = "FILE", required = true)]
-    pub(crate) files: Vec<PathBuf>,
-}
-
-/// The learned measure LPIPS.
-#[derive(Clone, Debug, Default, Args)]
-#[command(next_help_heading = MORE)]
-pub(crate) struct LpipsArgs {
-    /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS names,
-    /// else those that `genesplat lpips install` has put in place]
-    #[arg(long, value_name = "FILE|FOLDER")]
-    pub(crate) lpips_weights: Option<PathBuf>,
-    /// Leave LPIPS out, though its weights are there: it takes about 2.5 seconds of a core for a photo of 512x512
-    #[arg(long)]
-    pub(crate) no_lpips: bool,
-}
-
-/// Figures for other programs.
-#[derive(Clone, Debug, Default, Args)]
-pub(crate) struct JsonArgs {
-    /// Also write the figures to this file [default: none]
-    #[arg(long = "json", value_name = "FILE")]
-    pub(crate) path: Option<PathBuf>,
-}
-
-impl JsonArgs {
-    /// Writes `figures` where that was asked for.
-    pub(crate) fn write(&self, figures: &impl Serialize) -> Result<()> {
-        self.path.as_ref().map_or(Ok(()), |path| write_json(path, figures))
-    }
+pub(crate) struct ManArgs {
+    /// Page of this command [default: of them all]
+    #[arg(value_name = "COMMAND", conflicts_with = "completions")]
+    pub(crate) command: Option<String>,
+    /// Print a script that completes commands and flags in a shell instead
+    #[arg(long, value_name = "SHELL")]
+    pub(crate) completions: Option<Shell>,
 }
 
 #[derive(Debug, Args)]
@@ -208,20 +135,52 @@ pub(crate) struct DemoArgs {
     pub(crate) lpips: LpipsArgs,
 }
 
+/// What says nothing of two pictures.
+const OF_SPLATS: [&str; 12] = [
+    "data",
+    "split",
+    "max_side",
+    "downscale",
+    "images",
+    "test_every",
+    "test_list",
+    "train_on_all",
+    "mask",
+    "near",
+    "background",
+    "device",
+];
+
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded as it
+    /// was trained on them unless a flag says otherwise; --downscale divides the size that they had there. Or a picture, a
+    /// PNG or JPEG
+    #[arg(id = "splat", value_name = "SPLAT|RUN|A.png", required_unless_present = "install_lpips")]
+    pub(crate) path: Option<PathBuf>,
+    /// Another picture of the same size: measure how alike both are
+    #[arg(value_name = "B.png", conflicts_with_all = OF_SPLATS)]
+    pub(crate) other: Option<PathBuf>,
     /// Folder of the scene with the photos to compare with [default: that of the RUN; a SPLAT needs it]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that it saw
-    #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
+    #[arg(long, value_name = "SPLIT", value_parser = choice(SPLITS), default_value = "test")]
     pub(crate) split: Split,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
     #[command(flatten)]
-    pub(crate) splat: SplatArgs,
+    pub(crate) photos: PhotosArgs,
+    #[command(flatten)]
+    pub(crate) on: ShownOnArgs,
+    #[command(flatten)]
+    pub(crate) machine: MachineArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
+    /// Check files of weights first, and put them where LPIPS is looked for: torchvision's VGG16 or AlexNet (.pth) and the
+    /// heads of the Python package lpips (weights/v0.1/*.pth), or safetensors with both
+    #[arg(long, value_name = "FILE", num_args = 1.., help_heading = MORE)]
+    pub(crate) install_lpips: Vec<PathBuf>,
 }
 
 #[derive(Debug, Args)]
@@ -289,77 +248,6 @@ pub(crate) struct RefineArgs {
     pub(crate) machine: MachineArgs,
 }
 
-#[derive(Debug, Args)]
-pub(crate) struct CompareArgs {
-    /// A PNG or JPEG
-    #[arg(value_name = "A.png")]
-    pub(crate) first: PathBuf,
-    /// Another one of the same size
-    #[arg(value_name = "B.png")]
-    pub(crate) second: PathBuf,
-    #[command(flatten)]
-    pub(crate) json: JsonArgs,
-    #[command(flatten)]
-    pub(crate) lpips: LpipsArgs,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct ExperimentArgs {
-    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper, study-mcmc,
-    /// study-improved, ablation-paper, ablation-renew, or a TOML file of one's own
-    #[arg(value_name = "NAME|FILE.toml")]
-    pub(crate) what: String,
-    /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
-    /// unfinished in it
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: PathBuf,
-    /// Folder that holds the folders of the scenes [default: none; the bundled gallery needs none]
-    #[arg(long, value_name = "FOLDER")]
-    pub(crate) data: Option<PathBuf>,
-    /// Print the runs with their numbers, a line each, and run nothing
-    #[arg(long, conflicts_with = "cell")]
-    pub(crate) list: bool,
-    /// Make run N of --list only, and no tables: for job arrays, any number at once in one folder. The same command
-    /// without it makes the tables
-    #[arg(long, value_name = "N")]
-    pub(crate) cell: Option<usize>,
-    /// Training steps of every run [default: as the experiment says]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub(crate) iterations: Option<u32>,
-    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: as the experiment says]
-    #[arg(long, value_name = "F", value_parser = scale)]
-    pub(crate) steps_scale: Option<f64>,
-    #[command(flatten)]
-    pub(crate) size: SizeArgs,
-    #[command(flatten)]
-    pub(crate) machine: MachineArgs,
-    #[command(flatten)]
-    pub(crate) lpips: LpipsArgs,
-}
-
-/// One part of a scene's photos.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum Split {
-    /// Photos that training never saw
-    Test,
-    /// Photos that it saw
-    Train,
-}
-
-impl Split {
-    /// Test first: that is what counts.
-    pub(crate) const ALL: [Self; 2] = [Self::Test, Self::Train];
-
-    /// As flags and files call it.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Test => "test",
-            Self::Train => "train",
-        }
-    }
-}
-
 /// Which viewpoints to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum RenderSplit {
@@ -371,36 +259,8 @@ pub(crate) enum RenderSplit {
     All,
 }
 
-/// Longest sides that can be asked for, px.
-pub(crate) const MAX_SIDE: RangeInclusive<i64> = 16..=u32::MAX as i64;
-/// Divisors of both sides that can be asked for.
-pub(crate) const DOWNSCALE: RangeInclusive<i64> = 1..=64;
-/// Intervals of test photos that can be asked for: of every photo, none would be left to train on.
-pub(crate) const TEST_EVERY: RangeInclusive<i64> = 2..=u32::MAX as i64;
 /// Seeds that can be asked for: those that TOML can hold.
 const SEEDS: RangeTo<u64> = ..1 << 63;
-/// Numbers of threads that can be asked for.
-pub(crate) const THREADS: RangeInclusive<i64> = 1..=1024;
-
-/// How large photos are loaded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Args)]
-pub(crate) struct SizeArgs {
-    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to
-    /// 1600]. Smaller trains faster and shows less detail
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
-    pub(crate) max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE), help_heading = MORE)]
-    pub(crate) downscale: Option<u32>,
-}
-
-impl SizeArgs {
-    /// The size that was asked for, if any was.
-    pub(crate) fn size(self) -> Option<PhotoSize> {
-        self.max_side.map(PhotoSize::MaxSide).or(self.downscale.map(PhotoSize::Downscale))
-    }
-}
-
 /// A finished splat, the photos that it is shown beside, and where that is computed.
 #[derive(Debug, Args)]
 pub(crate) struct SplatArgs {
@@ -425,23 +285,7 @@ pub(crate) struct ShownOnArgs {
     pub(crate) background: Option<Background>,
 }
 
-/// Which machine power to use.
-#[derive(Clone, Copy, Debug, Default, Args)]
-pub(crate) struct MachineArgs {
-    /// Where to compute; results do not depend on the number of threads, but may on the kind of device [default: auto]
-    #[arg(long, value_enum, value_name = "DEVICE")]
-    pub(crate) device: Option<DeviceChoice>,
-    /// Processor threads to use, 1 to 1024 [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS), help_heading = MORE)]
-    pub(crate) threads: Option<u16>,
-}
-
 fn fraction<T: FromStr + PartialOrd + From<bool>>(text: &str) -> Result<T, String> {
     let is_valid = |value: &T| (T::from(false)..=T::from(true)).contains(value);
     text.parse().ok().filter(is_valid).ok_or_else(|| "a number from 0 to 1 is needed".into())
-}
-
-fn scale(text: &str) -> Result<f64, String> {
-    let valid = |scale: &f64| (1e-3..=1e3).contains(scale);
-    text.parse().ok().filter(valid).ok_or_else(|| "a number between 0.001 and 1000 is needed".into())
 }

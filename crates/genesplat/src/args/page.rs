@@ -4,8 +4,9 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::Args;
+use genesplat::flags::MORE;
 
-use super::{MORE, SplatArgs};
+use super::SplatArgs;
 
 /// Only this machine reaches it, and any port that is free.
 const NEAR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);

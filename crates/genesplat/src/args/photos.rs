@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, ensure};
 use clap::Args;
+use genesplat::flags::{MORE, SizeArgs, choice};
 use genesplat::io::{HoldOut, MaskUse, input, shown};
+use genesplat::run::settings::{PhotosAsked, TEST_EVERY, is_near};
 
-use super::choice::{MASKS, choice};
-use super::{MORE, SizeArgs, TEST_EVERY};
-use crate::settings::Dataset;
+use super::choice::MASKS;
 
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(crate) struct PhotosArgs {
@@ -48,30 +48,21 @@ pub(crate) struct HoldOutArgs {
     train_on_all: bool,
 }
 
-impl From<SizeArgs> for PhotosArgs {
-    fn from(size: SizeArgs) -> Self {
-        Self { size, ..Self::default() }
-    }
-}
-
 impl PhotosArgs {
     /// The file with the names of the photos to hold out.
     pub(crate) fn test_list(&self) -> Option<&Path> {
         self.hold_out.test_list.as_deref()
     }
 
-    /// Flags over what `dataset` says.
-    pub(crate) fn override_dataset(&self, dataset: &mut Dataset) -> Result<()> {
-        if self.size.size().is_some() {
-            (dataset.max_side, dataset.downscale) = (self.size.max_side, self.size.downscale);
-        }
-        dataset.images = self.images.clone().or(dataset.images.take());
-        dataset.mask = self.mask.unwrap_or(dataset.mask);
-        dataset.near = self.near.or(dataset.near);
-        if let Some(hold_out) = self.hold_out.asked()? {
-            dataset.hold_out = hold_out;
-        }
-        Ok(())
+    /// What is asked for, the list of photos read.
+    pub(crate) fn asked(&self) -> Result<PhotosAsked> {
+        Ok(PhotosAsked {
+            images: self.images.clone(),
+            hold_out: self.hold_out.asked()?,
+            mask: self.mask,
+            near: self.near,
+            ..self.size.asked()
+        })
     }
 }
 
@@ -86,11 +77,6 @@ impl HoldOutArgs {
 fn above_zero(text: &str) -> Result<f64, String> {
     let depth = text.parse().ok().filter(|depth| is_near(*depth));
     depth.ok_or_else(|| "a number above 0, and at most 1e9, is needed".into())
-}
-
-/// Whether a near plane may lie at this depth.
-pub(crate) fn is_near(depth: f64) -> bool {
-    depth > 0.0 && depth <= 1e9
 }
 
 fn read_list(file: &Path) -> Result<HoldOut> {

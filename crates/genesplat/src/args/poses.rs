@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-
-use super::{MORE, THREADS};
+use genesplat::flags::MORE;
+use genesplat::run::settings::THREADS;
 
 #[derive(Debug, Args)]
 pub(crate) struct PosesArgs {

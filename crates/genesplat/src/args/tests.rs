@@ -49,7 +49,7 @@ fn settings_in(text: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn settings_that_help_names_exist() {
     let problem = |setting: &str| {
-        let file = crate::settings::ConfigFile::from_table(format!("{setting} = 'no value'").parse().unwrap());
+        let file = genesplat::run::settings::ConfigFile::from_table(format!("{setting} = 'no value'").parse().unwrap());
         file.map_or_else(|error| error.message().to_owned(), |_| String::new())
     };
     assert!(problem("densify.absolute_threshold").contains("unknown field"), "a name that is wrong is found");
@@ -72,25 +72,15 @@ fn help_speaks_of_runs_only_where_one_can_be_given() {
 #[test]
 fn whatever_shows_a_splat_takes_masks_and_a_near_plane() {
     let of_splat = |words: &str| match Arguments::try_parse_from(words.split(' ')).unwrap().command {
-        Command::View(args) => args.splat,
-        Command::Export(args) => args.splat,
-        Command::Evaluate(args) => args.splat,
-        Command::Render(args) => args.splat,
+        Command::View(args) => (args.splat.path, args.splat.photos),
+        Command::Export(args) => (args.splat.path, args.splat.photos),
+        Command::Evaluate(args) => (args.path.unwrap(), args.photos),
+        Command::Render(args) => (args.splat.path, args.splat.photos),
         _ => unreachable!("these four show splats"),
     };
     for command in ["view", "export --out a.html", "evaluate --data d", "render --data d --split all --out o"] {
-        let splat = of_splat(&format!("genesplat {command} a.ply --near 0.5 --mask usual"));
-        let mut dataset = crate::settings::Dataset { mask: MaskUse::Transparent, ..Default::default() };
-        splat.photos.override_dataset(&mut dataset).unwrap();
-        assert_eq!((splat.path, dataset.mask, dataset.near), ("a.ply".into(), MaskUse::Usual, Some(0.5)));
-    }
-}
-
-#[test]
-fn help_names_every_preset() {
-    let mut command = Arguments::command();
-    let help = command.find_subcommand_mut("experiment").unwrap().render_long_help().to_string();
-    for (name, _) in crate::experiment::preset::PRESETS {
-        assert!(help.contains(name), "{name}: {help}");
+        let (splat, photos) = of_splat(&format!("genesplat {command} a.ply --near 0.5 --mask usual"));
+        let asked = photos.asked().unwrap();
+        assert_eq!((splat, asked.mask, asked.near), ("a.ply".into(), Some(MaskUse::Usual), Some(0.5)));
     }
 }

@@ -4,12 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
+use genesplat::flags::{LpipsArgs, MORE, MachineArgs, choice, scale};
 use genesplat::io::archive::is_zip;
+use genesplat::run::settings::Training;
 use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 
-use super::choice::{BACKGROUNDS, EVOLUTION, PRESETS, SIGNALS, VARIANTS, choice};
-use super::{LpipsArgs, MORE, MachineArgs, PhotosArgs, SEEDS, TrainPageArgs, scale};
+use super::choice::{BACKGROUNDS, EVOLUTION, PRESETS, SIGNALS, VARIANTS};
+use super::{PhotosArgs, SEEDS, TrainPageArgs};
 
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
@@ -60,6 +62,20 @@ impl TrainArgs {
     /// The folder of the scene, which `--poses` makes, and into which an archive is unpacked.
     pub(crate) fn scene(&self) -> PathBuf {
         if self.poses || is_zip(&self.dataset) { self.out.join("scene") } else { self.dataset.clone() }
+    }
+
+    /// What is asked for; `over` is [`Self::override_config`].
+    pub(crate) fn asked<'a>(&'a self, over: &'a dyn Fn(&mut TrainConfig) -> Result<()>) -> Result<Training<'a>> {
+        Ok(Training {
+            scene: self.scene(),
+            out: &self.out,
+            resumes: self.resume,
+            config: self.config.as_deref(),
+            preset: self.preset,
+            photos: self.photos.asked()?,
+            machine: self.machine.into(),
+            over,
+        })
     }
 
     /// Flags over the file. Fails where one does not go with the method that is trained.

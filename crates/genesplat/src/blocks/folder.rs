@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, ensure};
 use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::{command_line, input, shown};
+use genesplat::run::files::write_json;
 use serde::{Deserialize, Serialize};
-
-use crate::files::write_json;
 
 const BLOCKS: &str = "blocks.json";
 const SCENES: &str = "scenes";

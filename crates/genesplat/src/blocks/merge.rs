@@ -6,12 +6,12 @@ use anyhow::{Result, bail};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::shown;
+use genesplat::run::session::has_checkpoint;
+use genesplat::run::splat;
+use genesplat::run::{CLOUD, METRICS};
 use glam::DVec3;
 
 use super::folder::{Cut, command, run_of};
-use crate::run::session::has_checkpoint;
-use crate::run::{CLOUD, METRICS};
-use crate::splat;
 
 /// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be shown.
 pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {

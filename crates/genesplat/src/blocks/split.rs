@@ -7,12 +7,12 @@ use genesplat::core::Camera;
 use genesplat::io::blocks::{Block, Grid, Members};
 use genesplat::io::colmap::write_model;
 use genesplat::io::{Point, SceneList, ScenePhoto, model_of, plural, shown};
+use genesplat::run::files::{link_or_copy, unwritable, write_text};
+use genesplat::run::numbers::thousands;
+use genesplat::run::output;
 use glam::DVec3;
 
 use super::folder::{Cut, TEST_LIST, command, scene_of};
-use crate::files::{link_or_copy, unwritable, write_text};
-use crate::terminal::numbers::thousands;
-use crate::terminal::output;
 
 /// What is in one block.
 struct Content<'a> {

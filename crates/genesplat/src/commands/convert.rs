@@ -9,15 +9,15 @@ use genesplat::core::gaussians::sigmoid;
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{plural, shown};
+use genesplat::run::CLOUD;
+use genesplat::run::numbers::thousands;
+use genesplat::run::photos::check_test_photos;
+use genesplat::run::score::evaluate_all;
+use genesplat::run::splat::Splat;
+use genesplat::run::{device, files, splat};
+use genesplat::terminal::output;
 
 use crate::args::ConvertArgs;
-use crate::run::CLOUD;
-use crate::run::photos::check_test_photos;
-use crate::score::evaluate_all;
-use crate::splat::Splat;
-use crate::terminal::numbers::thousands;
-use crate::terminal::output;
-use crate::{device, files, splat};
 
 /// Reads, cleans, cuts, writes, and says what that cost.
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
@@ -28,10 +28,10 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         "--spz-version is for .spz, and {} is none; leave it out",
         shown(&args.out)
     );
-    let mut splat = splat::open_unchecked(&args.splat)?.on(args.on);
+    let mut splat = splat::open_unchecked(&args.splat)?.on(args.on.background);
     let in_file = splat.cloud.len();
     splat.cloud = clean(splat.cloud, &args.splat)?;
-    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos)).transpose()?;
+    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos.asked()?)).transpose()?;
     if let Some(scene) = &scene {
         check_test_photos(&args.splat, scene)?;
         ensure!(!scene.test.is_empty(), "{} has no test photos to measure a loss on; leave --data out", scene.name);

@@ -13,21 +13,21 @@ use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_png};
 use genesplat::io::{Scene, shown};
 use genesplat::metrics::Lpips;
+use genesplat::run::metrics::Metrics;
+use genesplat::run::numbers::thousands;
+use genesplat::run::report::pair::{self, Side};
+use genesplat::run::report::run::this_command;
+use genesplat::run::report::sheet::changes;
+use genesplat::run::session::{Caller, RunSession};
+use genesplat::run::settings::{ConfigFile, Dataset, PhotosAsked, Settings};
+use genesplat::run::training::{Ended, Run};
+use genesplat::run::{CLOUD, TEST};
+use genesplat::run::{device, files, lpips, scene};
+use genesplat::terminal::program::Ending;
+use genesplat::terminal::{interrupt, output};
 use genesplat::train::{EvolutionMode, TrainConfig};
 
-use super::Ending;
-use crate::args::{DemoArgs, PhotosArgs};
-use crate::report::pair::{self, Side};
-use crate::report::run::this_command;
-use crate::report::sheet::changes;
-use crate::run::metrics::Metrics;
-use crate::run::session::{Caller, RunSession};
-use crate::run::training::{Ended, Run};
-use crate::run::{CLOUD, TEST};
-use crate::settings::{ConfigFile, Dataset, Settings};
-use crate::terminal::numbers::thousands;
-use crate::terminal::{interrupt, output};
-use crate::{device, files, lpips, scene};
+use crate::args::DemoArgs;
 
 /// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
@@ -49,7 +49,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     check_gallery(&args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
-    let lpips = lpips::open(&args.lpips)?;
+    let lpips = lpips::open(&args.lpips.asked())?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
     let mut results = Vec::new();
     for half in &mut halves {
@@ -81,7 +81,7 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
         folder: halves[index].session.path(),
         render: &renders[index],
     });
-    files::write_text(&page, &pair::to_html(&scene.name, &sides, name, &sheet, &this_command())?)?;
+    files::write_text(&page, &pair::to_html(&scene.name, &sides, name, &sheet, &this_command("genesplat"))?)?;
     output::print(&format!(
         "open     {}  (both runs side by side, in a browser)\n\
          picture  {}  (where evolution changed most: photo, without, with)\n\
@@ -127,7 +127,7 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
     let options = GalleryOptions { seed, views: VIEWS, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
-    scene::load(&Dataset::of(folder, &PhotosArgs::default())?, [0.0; 3], seed, None)
+    scene::load(&Dataset::of(folder, &PhotosAsked::default()), [0.0; 3], seed, None)
 }
 
 struct Half {
@@ -145,7 +145,7 @@ impl Half {
         train.evolution.mode = mode;
         train.evolution.paper.generations = GENERATIONS;
         train.evolution.paper.population = POPULATION;
-        let settings = ConfigFile::of_scene(gallery_in(&args.out), train).resolve(args.machine)?;
+        let settings = ConfigFile::of_scene(gallery_in(&args.out), train).resolve(args.machine.into())?;
         Ok(Self { name, settings, session })
     }
 
@@ -210,7 +210,7 @@ mod tests {
     use genesplat::train::Variant;
 
     use super::*;
-    use crate::run::metrics::PhaseSeconds;
+    use genesplat::run::metrics::PhaseSeconds;
 
     #[test]
     fn only_a_gallery_of_ours_is_replaced() {

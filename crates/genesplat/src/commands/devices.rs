@@ -4,9 +4,8 @@ use anyhow::Result;
 use genesplat::core::Backend;
 use genesplat::gpu::AdapterReport;
 use genesplat::kernels::cpu::CpuBackend;
-
-use crate::device;
-use crate::terminal::output;
+use genesplat::run::device;
+use genesplat::terminal::output;
 
 pub(crate) fn run() -> Result<()> {
     output::print(&format!("cpu  {}", CpuBackend::new().describe()))?;
@@ -45,7 +44,21 @@ fn describe(adapter: &AdapterReport, is_first: bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::tests::adapter;
+
+    fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
+        AdapterReport {
+            name: name.into(),
+            kind,
+            api: "Vulkan".into(),
+            driver: String::new(),
+            binding_bytes: 1 << 30,
+            buffer_bytes: 1 << 30,
+            workgroup_bytes: 32 << 10,
+            timestamps: true,
+            subgroups: true,
+            unusable: unusable.map(str::to_owned),
+        }
+    }
 
     #[test]
     fn of_several_devices_one_is_used() {

@@ -1,15 +1,19 @@
-//! `genesplat evaluate`: how well a splat reproduces photos.
+//! `genesplat evaluate`: how well a splat reproduces photos, or how alike two pictures are.
 
-use anyhow::{Result, bail};
-use genesplat::io::shown;
+use std::path::Path;
+
+use anyhow::{Result, bail, ensure};
+use genesplat::io::{PHOTO_ENDINGS, ending, shown};
 use genesplat::metrics::Evaluation;
+use genesplat::run::metrics::Split;
+use genesplat::run::photos;
+use genesplat::run::score::evaluate_all;
+use genesplat::run::{device, lpips, splat};
+use genesplat::terminal::output;
 use serde::Serialize;
 
-use crate::args::{EvaluateArgs, Split};
-use crate::run::photos;
-use crate::score::evaluate_all;
-use crate::terminal::output;
-use crate::{device, lpips, splat};
+use super::{evaluate_pictures, lpips_install};
+use crate::args::EvaluateArgs;
 
 #[derive(Serialize)]
 struct Report {
@@ -23,11 +27,27 @@ struct Report {
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
-    device::use_threads(args.splat.machine.threads)?;
-    let lpips = lpips::open(&args.lpips)?;
-    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    if !args.install_lpips.is_empty() {
+        lpips_install::install(&args.install_lpips)?;
+    }
+    match (&args.path, &args.other) {
+        (Some(first), Some(second)) => evaluate_pictures::run([first, second], args),
+        (Some(splat), None) => evaluate_splat(splat, args),
+        (None, _) => Ok(()),
+    }
+}
+
+fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
+    device::use_threads(args.machine.threads)?;
+    ensure!(
+        !PHOTO_ENDINGS.contains(&&*ending(path)),
+        "{} is a picture; give another one after it, to measure how alike they are",
+        shown(path)
+    );
+    let lpips = lpips::open(&args.lpips.asked())?;
+    let splat = splat::open(path)?.on(args.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
-    let scene = splat.load_scene(&data, &args.splat.photos)?;
+    let scene = splat.load_scene(&data, &args.photos.asked()?)?;
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),
@@ -37,9 +57,9 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
         bail!("{} has no {name} photos; use --split {}", shown(&data), other.name());
     }
     if args.split == Split::Test {
-        photos::check_test_photos(&args.splat.path, &scene)?;
+        photos::check_test_photos(path, &scene)?;
     }
-    let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud.into())?;
     let scores = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref())?;

@@ -7,14 +7,14 @@ use anyhow::{Result, ensure};
 use genesplat::core::{Backend, Camera, RenderSettings, View};
 use genesplat::io::format::{self, Options, SpzVersion};
 use genesplat::io::{Format, Scene, ending, plural, shown};
+use genesplat::run::numbers::thousands;
+use genesplat::run::output::Bar;
+use genesplat::run::{device, files, splat};
+use genesplat::terminal::output;
 use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
 use genesplat::viewer::{Framing, Split};
 
 use crate::args::ExportArgs;
-use crate::terminal::numbers::thousands;
-use crate::terminal::output;
-use crate::terminal::progress::Bar;
-use crate::{device, files, splat};
 
 /// Browsers tell a page by its name.
 pub(crate) fn check_name(out: &Path) -> Result<()> {
@@ -25,8 +25,8 @@ pub(crate) fn check_name(out: &Path) -> Result<()> {
 
 pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
-    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
-    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos)?;
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
+    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
     let settings = splat.settings;
     let options =
         Options { screen_filter: settings.filter, sh_degree: settings.sh_degree, spz_version: SpzVersion::V3 };

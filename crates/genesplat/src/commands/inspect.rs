@@ -3,12 +3,12 @@
 use anyhow::{Result, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::{Format, shown};
+use genesplat::run::session::is_run;
+use genesplat::run::settings::Dataset;
+use genesplat::terminal::output;
 
 use crate::args::{InspectArgs, PhotosArgs};
 use crate::inspect::{inspect_run, inspect_scene, inspect_splat};
-use crate::run::session::is_run;
-use crate::settings::Dataset;
-use crate::terminal::output;
 
 pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let what = &args.what;
@@ -23,7 +23,7 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let report = match () {
         () if is_splat => inspect_splat(what)?,
         () if is_run(what) => inspect_run(what)?,
-        () => inspect_scene(&Dataset::of(what, &args.photos)?)?,
+        () => inspect_scene(&Dataset::of(what, &args.photos.asked()?))?,
     };
     output::print(&report.to_text())?;
     args.json.write(&report)

@@ -1,16 +1,14 @@
-//! `genesplat lpips install`: weights are checked, and put where LPIPS is looked for.
+//! `genesplat evaluate --install-lpips`: weights are checked, and put where LPIPS is looked for.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::io::shown;
 use genesplat::metrics::Lpips;
 use genesplat::metrics::weights::{sha256, to_safetensors};
-
-use crate::args::LpipsInstallArgs;
-use crate::terminal::output;
-use crate::{files, lpips};
+use genesplat::run::{files, lpips};
+use genesplat::terminal::output;
 
 /// SHA-256 sums of files that were measured with, and whose figures are those of the authors' own program.
 const KNOWN_SUMS: [(&str, &str); 4] = [
@@ -21,15 +19,15 @@ const KNOWN_SUMS: [(&str, &str); 4] = [
 ];
 
 /// Checks everything, then writes: one file a network, in the user's cache folder.
-pub(crate) fn run(args: &LpipsInstallArgs) -> Result<()> {
+pub(super) fn install(weights: &[PathBuf]) -> Result<()> {
     let Some(folder) = lpips::cache_folder() else {
         bail!("there is no cache folder to install to; set HOME or XDG_CACHE_HOME");
     };
-    for file in &args.files {
+    for file in weights {
         let (net, _) = lpips::read(file)?;
         output::print(&format!("{}: for {net}, {}", shown(file), check_sum(file)?))?;
     }
-    let mut pool = lpips::pool(&args.files)?;
+    let mut pool = lpips::pool(weights)?;
     for (&net, tensors) in &mut pool {
         Lpips::new(net, tensors).map_err(|error| {
             anyhow!("{error}; give both files of {net} at once, torchvision's and the heads of lpips")

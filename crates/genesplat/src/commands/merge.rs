@@ -3,12 +3,12 @@
 use anyhow::Result;
 use genesplat::io::format::{self, Options};
 use genesplat::io::shown;
+use genesplat::run::numbers::thousands;
+use genesplat::run::{files, splat};
+use genesplat::terminal::output;
 
 use crate::args::MergeArgs;
 use crate::blocks::merge::merge;
-use crate::terminal::numbers::thousands;
-use crate::terminal::output;
-use crate::{files, splat};
 
 /// Reads the splat of every block, and writes what stands on its core.
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {

@@ -1,12 +1,10 @@
 //! One module a command.
 
-pub(crate) mod bench;
-mod compare;
 mod convert;
 mod demo;
 mod devices;
 mod evaluate;
-mod experiment;
+mod evaluate_pictures;
 mod export;
 mod inspect;
 mod lpips_install;
@@ -23,19 +21,12 @@ mod view;
 use std::path::Path;
 
 use anyhow::Result;
+use genesplat::flags::JsonArgs;
+use genesplat::run::files::format_of;
+use genesplat::run::overwrite::{Content, check_file};
+use genesplat::terminal::program::Ending;
 
-use crate::args::{Arguments, Bench, Command, JsonArgs, LpipsCommand};
-use crate::files::format_of;
-use crate::overwrite::{Content, check_file};
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ending {
-    Whole,
-    /// It was stopped, and has saved what there was.
-    Stopped,
-    /// It has failed, and another process tells of it.
-    Failed,
-}
+use crate::args::{Arguments, Command, ManArgs};
 
 pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     check_outputs(&arguments.command)?;
@@ -43,7 +34,6 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Demo(args) => return demo::run(&args),
         Command::Train(args) => return train::run(&args),
         Command::Poses(args) => return poses::run(&args),
-        Command::Experiment(args) => return experiment::run(&args),
         Command::Refine(args) => return refine::run(&args),
         Command::Render(args) => return render::run(&args),
         Command::Inspect(args) => inspect::run(&args),
@@ -51,16 +41,11 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::View(args) => view::run(&args),
         Command::Split(args) => split::run(&args),
         Command::Merge(args) => merge::run(&args),
-        Command::Compare(args) => compare::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Export(args) => export::run(&args),
-        Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
-        Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
-        Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
-        Command::Bench { what: Bench::Gpu(args) } => bench::gpu::run(&args),
         Command::Devices => devices::run(),
-        Command::Completions { shell } => shell::completions(shell),
-        Command::Man { command } => shell::man(command.as_deref()),
+        Command::Man(ManArgs { completions: Some(shell), .. }) => shell::completions(shell),
+        Command::Man(args) => shell::man(args.command.as_deref()),
     }
     .map(|()| Ending::Whole)
 }
@@ -75,11 +60,7 @@ fn check_outputs(command: &Command) -> Result<()> {
         Command::Inspect(args) => figures(&args.json, &[Some(&args.what), args.photos.test_list()]),
         Command::Evaluate(args) => {
             let weights = args.lpips.lpips_weights.as_deref();
-            figures(&args.json, &[Some(&args.splat.path), args.splat.photos.test_list(), weights])
-        }
-        Command::Compare(args) => {
-            let weights = args.lpips.lpips_weights.as_deref();
-            figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
+            figures(&args.json, &[args.path.as_deref(), args.other.as_deref(), args.photos.test_list(), weights])
         }
         Command::Render(args) => render::check_out(args),
         Command::Refine(args) => {
@@ -93,23 +74,12 @@ fn check_outputs(command: &Command) -> Result<()> {
             export::check_name(&args.out)
         }
         Command::Merge(args) => check_file(&args.out, Content::Splat, &[]),
-        Command::Bench { what } => {
-            let (json, source) = match what {
-                Bench::Step(args) => (&args.json, &args.workload.source),
-                Bench::Evolution(args) => (&args.json, &args.workload.source),
-                Bench::Gpu(args) => (&args.json, &args.source),
-            };
-            figures(json, &[source.splat.as_deref()])
-        }
         Command::Poses(_)
         | Command::Train(_)
         | Command::Demo(_)
-        | Command::Experiment(_)
         | Command::View(_)
         | Command::Split(_)
-        | Command::Lpips { .. }
         | Command::Devices
-        | Command::Completions { .. }
-        | Command::Man { .. } => Ok(()),
+        | Command::Man(_) => Ok(()),
     }
 }

@@ -2,12 +2,12 @@
 
 use anyhow::Result;
 use genesplat::io::{command_line, shown};
+use genesplat::run::device;
+use genesplat::terminal::program::Ending;
+use genesplat::terminal::{interrupt, output};
 
-use super::Ending;
 use crate::args::PosesArgs;
-use crate::device;
 use crate::poses::{self, Request};
-use crate::terminal::{interrupt, output};
 
 pub(crate) fn run(args: &PosesArgs) -> Result<Ending> {
     device::use_threads(args.threads)?;

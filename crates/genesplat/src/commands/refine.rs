@@ -5,20 +5,20 @@ use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
+use genesplat::run::device::Device;
+use genesplat::run::numbers::thousands;
+use genesplat::run::photos;
+use genesplat::run::reporter::Reporter;
+use genesplat::run::score::evaluate_all;
+use genesplat::run::settings::{ConfigFile, check_hidden};
+use genesplat::run::splat::Splat;
+use genesplat::run::{device, files, splat};
+use genesplat::terminal::program::Ending;
+use genesplat::terminal::{interrupt, output};
 use genesplat::train::{Background, EvolutionMode, Outcome, Schedule, Start, TrainConfig, Variant, search, train};
 use toml::Table;
 
-use super::Ending;
 use crate::args::RefineArgs;
-use crate::device::Device;
-use crate::run::photos;
-use crate::score::evaluate_all;
-use crate::settings::{ConfigFile, check_hidden};
-use crate::splat::Splat;
-use crate::terminal::numbers::thousands;
-use crate::terminal::reporter::Reporter;
-use crate::terminal::{interrupt, output};
-use crate::{device, files, splat};
 
 const ITERATIONS: u32 = 2000;
 
@@ -27,10 +27,10 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let (data, schedule) = (splat.scene_path(args.data.as_deref())?, configure(args, &splat)?);
-    check_hidden(splat.mask(&data, &args.photos)?, schedule.config().background)?;
+    check_hidden(splat.mask(&data, &args.photos.asked()?)?, schedule.config().background)?;
     check(args, schedule.config())?;
     splat.settings = schedule.render_settings();
-    let scene = splat.load_scene(&data, &args.photos)?;
+    let scene = splat.load_scene(&data, &args.photos.asked()?)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag()?;
     let mut device = device::open(args.machine.device.unwrap_or_default())?;

@@ -7,16 +7,16 @@ use std::sync::atomic::Ordering;
 use anyhow::{Result, anyhow, ensure};
 use genesplat::core::{Photo, View};
 use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, ending, photos, plural, shown};
+use genesplat::run::files::check_folder;
+use genesplat::run::output::Bar;
+use genesplat::run::overwrite::{Content, check_file};
+use genesplat::run::photos::check_test_photos;
+use genesplat::run::{device, files, overwrite, scene, splat};
+use genesplat::terminal::program::Ending;
+use genesplat::terminal::{interrupt, output};
 
-use super::Ending;
 use super::render_path::{self, is_film};
 use crate::args::{RenderArgs, RenderSplit};
-use crate::files::check_folder;
-use crate::overwrite::{Content, check_file};
-use crate::run::photos::check_test_photos;
-use crate::terminal::progress::Bar;
-use crate::terminal::{interrupt, output};
-use crate::{device, files, overwrite, scene, splat};
 
 /// Of 100: differs from the PNG by less than the eye sees.
 const JPEG_QUALITY: u8 = 95;
@@ -48,9 +48,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     }
     device::use_threads(args.splat.machine.threads)?;
     let stop = interrupt::stop_flag_saying(STOPPING)?;
-    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
-    let scene = splat.load_scene(&data, &args.splat.photos)?;
+    let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
         let has_some = !scene.test.is_empty();
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     }
     let jobs = match &args.image {
         Some(name) => {
-            let name = splat.view_name(name, &data, &args.splat.photos)?;
+            let name = splat.view_name(name, &data, &args.splat.photos.asked()?)?;
             vec![(find(&scene, &name, &data)?, args.out.clone())]
         }
         None => {

@@ -9,17 +9,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Camera, Photo};
 use genesplat::io::{Scene, ending, input, photos, shown};
+use genesplat::run::files::unwritable;
+use genesplat::run::output::Bar;
+use genesplat::run::overwrite::{self, Content};
+use genesplat::run::splat::Splat;
+use genesplat::run::{device, splat};
+use genesplat::terminal::program::Ending;
+use genesplat::terminal::{interrupt, output};
 use genesplat::viewer::path::CameraPath;
 
-use super::Ending;
 use super::render::STOPPING;
 use crate::args::{PathChoice, RenderArgs};
-use crate::files::unwritable;
-use crate::overwrite::{self, Content};
-use crate::splat::Splat;
-use crate::terminal::progress::Bar;
-use crate::terminal::{interrupt, output};
-use crate::{device, splat};
 
 /// Frames of a path where nobody asks for a number.
 const FRAMES: u32 = 120;
@@ -29,9 +29,9 @@ const RATE: &str = "30";
 pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
     device::use_threads(args.splat.machine.threads)?;
     let stop = interrupt::stop_flag_saying(STOPPING)?;
-    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
-    let scene = splat.load_scene(&data, &args.splat.photos)?;
+    let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;
     overwrite::check_photos(&scene, &args.out)?;
     let cameras = cameras(choice, &scene, args.frames.unwrap_or(FRAMES))?;
     let mut sink = Sink::open(&args.out, &cameras)?;

@@ -1,12 +1,12 @@
-//! `genesplat completions` and `genesplat man`: what shells and `man` read about this command.
+//! `genesplat man`: what `man` and shells read about this command.
 
 use anyhow::{Context, Result};
 use clap::CommandFactory;
 use clap_complete::Shell;
 use clap_mangen::Man;
+use genesplat::terminal::output;
 
 use crate::args::Arguments;
-use crate::terminal::output;
 
 pub(crate) fn completions(shell: Shell) -> Result<()> {
     let mut script = Vec::new();
@@ -16,17 +16,15 @@ pub(crate) fn completions(shell: Shell) -> Result<()> {
     print(script)
 }
 
-/// The page of the whole command, or of one of its commands (`bench step` for one of those of `bench`).
+/// The page of the whole command, or of one of its commands.
 pub(crate) fn man(name: Option<&str>) -> Result<()> {
     let mut command = Arguments::command();
     command.build();
     let command = match name {
         None => command,
-        Some(name) => name.split(' ').try_fold(command, |command, part| {
-            command.find_subcommand(part).cloned().with_context(|| {
-                let names: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
-                format!("genesplat has no command {name:?}; it has {}", names.join(", "))
-            })
+        Some(name) => command.find_subcommand(name).cloned().with_context(|| {
+            let names: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+            format!("genesplat has no command {name:?}; it has {}", names.join(", "))
         })?,
     };
     let mut page = Vec::new();

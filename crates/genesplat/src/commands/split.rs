@@ -4,11 +4,11 @@ use std::fs;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::io::{LoadOptions, command_line, list_scene, shown};
+use genesplat::run::settings::check_hold_out;
+use genesplat::terminal::output;
 
 use crate::args::SplitArgs;
 use crate::blocks::split::split;
-use crate::settings::check_hold_out;
-use crate::terminal::output;
 
 /// Writes the blocks, and says how each is trained.
 pub(crate) fn run(args: &SplitArgs) -> Result<()> {

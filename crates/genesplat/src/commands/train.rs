@@ -1,26 +1,30 @@
 //! `genesplat train`: a scene in, a run folder out.
 
 use std::path::Path;
+use std::process;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
+use genesplat::run::cluster::Cluster;
+use genesplat::run::device::DeviceChoice;
+use genesplat::run::metrics::Metrics;
+use genesplat::run::numbers::{duration, thousands};
+use genesplat::run::session::{Caller, RunSession};
+use genesplat::run::settings::{ConfigFile, Machine, Settings};
+use genesplat::run::training::{Ended, Run};
+use genesplat::run::{CLOUD, REPORT};
+use genesplat::run::{cluster, device, lpips, overwrite, scene};
+use genesplat::terminal::interrupt;
+use genesplat::terminal::output::{self, Volume};
+use genesplat::terminal::program::Ending;
+use genesplat::train::{StepBudget, TrainConfig};
 
-use super::Ending;
 use crate::args::TrainArgs;
-use crate::cluster::Cluster;
-use crate::device::DeviceChoice;
 use crate::poses::{self, Request};
-use crate::run::metrics::Metrics;
-use crate::run::session::{Caller, RunSession};
-use crate::run::training::{Ended, Run};
-use crate::run::{CLOUD, REPORT};
-use crate::settings::{ConfigFile, Settings};
-use crate::terminal::numbers::{duration, thousands};
-use crate::terminal::{interrupt, output};
-use crate::{cluster, device, lpips, overwrite, scene, unpacked};
+use crate::unpacked;
 
 /// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
 /// mistyped path nor a change of mind must cost them.
@@ -31,7 +35,10 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
         cluster::stop_as_ranks_do(&stop)?;
         return run_on(args, &stop, None);
     }
-    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out)?;
+    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out, end)?;
+    if !cluster.is_root() {
+        output::set_volume(Volume::Quiet);
+    }
     let done = run_on(args, cluster.stop(), Some(&cluster));
     // Of an error that one of them has alone, the others hear now, wherever they are.
     let done = if cluster.has_failed() { done } else { cluster::agree(Some(&cluster), done) };
@@ -43,6 +50,12 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
         Err(error) if cluster.is_root() => Err(error),
         Err(_) => Ok(Ending::Failed),
     }
+}
+
+/// Ends this process with a sentence, before mpirun ends it without.
+fn end(sentence: &str) {
+    output::complain(&format!("error: {sentence}"));
+    process::exit(1);
 }
 
 /// By this process, or by several of which this is one.
@@ -78,10 +91,11 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         Some(cluster) if !cluster.is_root() => RunSession::follow(&args.out, args.resume),
         _ => RunSession::claim(&args.out, Caller::Train, args.resume)?,
     };
-    let config = ConfigFile::of_training(args)?;
-    let mut machine = args.machine;
+    let over = |train: &mut TrainConfig| args.override_config(train);
+    let config = ConfigFile::of_training(&args.asked(&over)?)?;
+    let mut machine = Machine::from(args.machine);
     if cluster.is_some() {
-        cluster::check(args, &config.train)?;
+        check_ranks(args, &config.train)?;
         machine.device = Some(DeviceChoice::Cpu);
     }
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
@@ -95,8 +109,28 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
     let scene = scene::load(&config.dataset, background, config.train.seed, Some(spill))?;
     // Now, since weights that cannot be read should not stop a run at its end.
-    let lpips = lpips::open(&args.lpips)?;
+    let lpips = lpips::open(&args.lpips.asked())?;
     Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, lpips }))
+}
+
+/// Fails where ranks cannot do what is asked for.
+fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
+    ensure!(!args.poses, "one process finds cameras: run genesplat poses first, and train on its scene under mpirun");
+    ensure!(
+        !archive::is_zip(&args.dataset),
+        "one process unpacks archives: unpack {} first, and train on its folder under mpirun",
+        shown(&args.dataset)
+    );
+    ensure!(args.page.address().is_none(), "a run under mpirun has no live page; leave --view out");
+    ensure!(
+        args.machine.device != Some(DeviceChoice::Gpu),
+        "ranks of mpirun train on processors; leave --device gpu out"
+    );
+    ensure!(
+        !matches!(train.evolution.extra_steps, Some(StepBudget::Seconds(_))),
+        "ranks do not agree on seconds; give evolution.extra_steps a number of steps"
+    );
+    Ok(())
 }
 
 /// Bytes of photos that a process keeps in memory: of a run by many, each needs some rows of one photo at a time.

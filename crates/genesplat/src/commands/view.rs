@@ -5,20 +5,20 @@ use std::sync::atomic::Ordering;
 
 use anyhow::Result;
 use genesplat::core::Sight;
+use genesplat::run::LOG;
+use genesplat::run::report::curves::Curves;
+use genesplat::run::{device, files, live, splat};
+use genesplat::terminal::interrupt;
 use genesplat::viewer::LiveView;
 
 use crate::args::ViewArgs;
-use crate::report::curves::Curves;
-use crate::run::LOG;
-use crate::terminal::interrupt;
-use crate::{device, files, live, splat};
 
 /// Serves until Ctrl-C, which is how it is meant to end.
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
     let stop = interrupt::stop_flag_saying("the page is closed")?;
-    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
-    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos)?;
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
+    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
     let mut device = device::open(args.splat.machine.device.unwrap_or_default())?;
     let path = files::resolved(&args.splat.path);
     let name = path.file_name().unwrap_or_default().to_string_lossy();

@@ -6,11 +6,10 @@ use anyhow::Result;
 use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, Stream, View, median};
 use genesplat::io::{Point, Scene};
 use genesplat::kernels::cpu::CpuBackend;
+use genesplat::run::device::step_at_rest;
+use genesplat::run::scene;
 use genesplat::train::scene::initialise::cloud_from_points;
 use genesplat::train::{Schedule, expected_gaussians, virtual_picture_bytes};
-
-use crate::commands::bench::step_at_rest;
-use crate::scene;
 
 /// Steps that are timed; the first ones fill caches.
 const STEPS: u32 = 6;

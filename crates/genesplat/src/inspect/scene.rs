@@ -3,15 +3,15 @@
 use anyhow::Result;
 use genesplat::core::View;
 use genesplat::io::{Scene, ScenePhoto, list_scene, plural};
+use genesplat::run::numbers::{memory, thousands, time_left};
+use genesplat::run::scene;
+use genesplat::run::settings::Dataset;
 use genesplat::train::TrainConfig;
 use genesplat::train::scene::initialise::scene_extent;
 
 use super::cameras::{PointsSeen, points_seen};
 use super::cost::{Cost, estimate};
 use super::{Fact, Report, cameras, photos};
-use crate::scene;
-use crate::settings::Dataset;
-use crate::terminal::numbers::{memory, thousands, time_left};
 
 /// Iterations of a quick run, whose time is said beside that of the run that no flag changes.
 const QUICK: u32 = 7000;

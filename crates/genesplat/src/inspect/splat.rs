@@ -6,13 +6,13 @@ use std::path::Path;
 use anyhow::Result;
 use genesplat::core::gaussians::sigmoid;
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter, median};
+use genesplat::run::CLOUD;
+use genesplat::run::metrics::Metrics;
+use genesplat::run::numbers::{duration, memory, thousands};
+use genesplat::run::session::has_checkpoint;
+use genesplat::run::splat;
 
 use super::{Fact, Report};
-use crate::run::CLOUD;
-use crate::run::metrics::Metrics;
-use crate::run::session::has_checkpoint;
-use crate::splat;
-use crate::terminal::numbers::{duration, memory, thousands};
 
 /// A Gaussian is invisible below this opacity: no pixel shows it.
 const INVISIBLE: f32 = 1.0 / 255.0;

@@ -1,12 +1,12 @@
 //! Who finds the cameras: Python's pycolmap, or the program `colmap`, whichever this machine has.
 
-use genesplat::io::shown;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
+use genesplat::io::shown;
 use serde_json::{Value, json};
 
 use super::process;

@@ -6,11 +6,11 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
 use genesplat::io::{plural, shown};
+use genesplat::run::files::write_json;
+use genesplat::run::output::Bar;
 
 use super::engine::Engine;
 use super::process;
-use crate::files::write_json;
-use crate::terminal::progress::Bar;
 
 /// In small letters.
 pub(super) const ENDINGS: [&str; 3] = ["heic", "heif", "hif"];

@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use genesplat::io::mask_of;
 use genesplat::io::photos::photo_size;
-
-use crate::terminal::output;
+use genesplat::run::output;
 
 /// Beside the photos, and in the scene.
 pub(super) const FOLDER: &str = "masks";

@@ -19,10 +19,10 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, ensure};
 use genesplat::io::{plural, shown};
 
-use crate::files::unwritable;
-use crate::run::lock::Lock;
-use crate::terminal::output;
 use engine::Engine;
+use genesplat::run::files::unwritable;
+use genesplat::run::lock::Lock;
+use genesplat::run::output;
 use photos::Source;
 use stages::Job;
 pub(crate) use summary::Summary;

@@ -9,12 +9,12 @@ use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
 use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown};
+use genesplat::run::files::{link_or_copy, unwritable, write_json};
+use genesplat::run::output;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{FRAMES, IMAGES, heic, masks, video};
-use crate::files::{link_or_copy, unwritable, write_json};
-use crate::terminal::output;
 use crate::unpacked;
 
 /// COLMAP does not read these, so it gets them as PNG.

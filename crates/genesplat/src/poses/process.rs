@@ -1,6 +1,5 @@
 //! Programs of others: started, listened to, and ended when the user stops us.
 
-use genesplat::io::shown;
 use std::error::Error;
 use std::fmt;
 use std::fs::File;
@@ -13,8 +12,8 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow, bail, ensure};
-
-use crate::files::unwritable;
+use genesplat::io::shown;
+use genesplat::run::files::unwritable;
 
 /// A program was ended by a signal that nobody sent: the fault is its own, and may not come again.
 #[derive(Debug)]

@@ -6,13 +6,13 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
 use genesplat::io::photos::{lens_tags, photo_size};
+use genesplat::run::files::{make_empty, write_text};
+use genesplat::run::output;
+use genesplat::run::output::Bar;
 use rayon::prelude::*;
 
 use super::engine::Engine;
 use super::process::{self, Crashed};
-use crate::files::{make_empty, write_text};
-use crate::terminal::output;
-use crate::terminal::progress::Bar;
 
 /// Most photos of which each is matched with each other one; beyond, and for frames of a video, neighbours are.
 const EXHAUSTIVE_MAX: usize = 150;

@@ -1,16 +1,15 @@
 //! What a search for cameras has found, in figures and in words.
 
-use genesplat::io::{input, plural, shown};
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::io::colmap::{find_model, read_model};
+use genesplat::io::{input, plural, shown};
+use genesplat::run::files::write_json;
+use genesplat::run::numbers::thousands;
 use serde::{Deserialize, Serialize};
-
-use crate::files::write_json;
-use crate::terminal::numbers::thousands;
 
 /// Below the folder of the stages; where it is, the search is done.
 const SUMMARY: &str = "summary.json";

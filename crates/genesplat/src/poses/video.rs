@@ -1,6 +1,5 @@
 //! Photos from a video: `ffmpeg` takes several frames for each that is wanted, and the sharpest of each interval stays.
 
-use genesplat::io::shown;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,13 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::photos::read_photo;
+use genesplat::io::shown;
+use genesplat::run::files::{make_empty, unwritable, write_text};
+use genesplat::run::output;
+use genesplat::run::output::Bar;
 use rayon::prelude::*;
 
 use super::process;
-use crate::files::{make_empty, unwritable, write_text};
 use crate::sharpness::laplacian_variance;
-use crate::terminal::output;
-use crate::terminal::progress::Bar;
 
 /// Frames that are compared for each that stays.
 const CANDIDATES: u32 = 3;

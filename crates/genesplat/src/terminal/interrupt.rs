@@ -12,18 +12,18 @@ use signal_hook::flag;
 use super::output;
 
 /// Exit status of a run that was stopped, as shells report one that Ctrl-C killed: 128 + SIGINT.
-pub(crate) const STOPPED: u8 = 130;
+pub const STOPPED: u8 = 130;
 
 /// Signals that come closer together are one wish: `timeout` and schedulers send several in a row.
 const ONE_WISH: Duration = Duration::from_secs(1);
 
 /// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process.
-pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
+pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     stop_flag_saying("stopping: results so far are being saved; press Ctrl-C again to abort at once")
 }
 
 /// The same with other words for who has pressed it.
-pub(crate) fn stop_flag_saying(words: &'static str) -> Result<Arc<AtomicBool>> {
+pub fn stop_flag_saying(words: &'static str) -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let (flag, first) = (stop.clone(), Arc::new(OnceLock::new()));
     let handler = move || match Wish::at(Instant::now(), &first) {

@@ -6,7 +6,7 @@
 /// - Much memory is asked for before it is taken ([`genesplat::core::memory`]). Where there is none for something small,
 ///   Rust says so on stderr and aborts; then the status is that of a failure.
 #[cfg(unix)]
-pub(crate) fn make_errors() {
+pub fn make_errors() {
     use std::sync::Arc;
     use std::sync::atomic::AtomicBool;
 
@@ -21,4 +21,4 @@ pub(crate) fn make_errors() {
 
 /// Other systems have no such signals.
 #[cfg(not(unix))]
-pub(crate) fn make_errors() {}
+pub fn make_errors() {}

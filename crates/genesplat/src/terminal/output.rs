@@ -14,25 +14,43 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Result, anyhow};
-use genesplat::io::{plural, shown};
-use genesplat::metrics::Evaluation;
+use genesplat_io::{plural, shown};
+use genesplat_metrics::Evaluation;
+use genesplat_run::output::{Progress, Tell, Work};
 
-use super::progress;
+use super::progress::{self, Bar};
+pub use crate::flags::Volume;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Volume {
-    /// Errors and the final result.
-    Quiet,
-    /// What a user should see.
-    Normal,
-    /// What helps to find a fault, too.
-    Verbose,
+/// The terminal as what a run speaks to.
+pub struct Terminal;
+
+impl Tell for Terminal {
+    fn print(&self, text: &str) -> Result<()> {
+        print(text)
+    }
+
+    fn tell(&self, text: &str) {
+        tell(text);
+    }
+
+    fn note(&self, text: &str) {
+        note(text);
+    }
+
+    fn begin(&self, work: &Work<'_>) -> Box<dyn Progress> {
+        Box::new(Bar::of(work))
+    }
+
+    fn without_drivers(&self, ask: &mut dyn FnMut()) {
+        without_drivers(ask);
+    }
 }
 
 static VOLUME: AtomicU8 = AtomicU8::new(Volume::Normal as u8);
 static NOTES: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-pub(crate) fn set_volume(volume: Volume) {
+/// From now on.
+pub fn set_volume(volume: Volume) {
     VOLUME.store(volume as u8, Ordering::Relaxed);
 }
 
@@ -41,12 +59,12 @@ fn is(volume: Volume) -> bool {
 }
 
 /// True where nothing but errors and results is shown.
-pub(crate) fn is_quiet() -> bool {
+pub fn is_quiet() -> bool {
     is(Volume::Quiet)
 }
 
 /// Writes a result and a line break to stdout. A reader that has heard enough (`| head`) is no error.
-pub(crate) fn print(text: &str) -> Result<()> {
+pub fn print(text: &str) -> Result<()> {
     let text = harmless(text);
     match progress::aside(|| writeln!(io::stdout().lock(), "{text}")) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(anyhow!("cannot write to stdout: {error}")),
@@ -54,14 +72,15 @@ pub(crate) fn print(text: &str) -> Result<()> {
     }
 }
 
-pub(crate) fn tell(text: &str) {
+/// Writes how far things are, or a notice, to stderr.
+pub fn tell(text: &str) {
     if !is_quiet() {
         complain(text);
     }
 }
 
 /// Writes an error to stderr. Where that takes nothing the text is lost: a run must not end because nobody listens.
-pub(crate) fn complain(text: &str) {
+pub fn complain(text: &str) {
     let text = harmless(text);
     progress::aside(|| write(&format!("{text}\n")));
 }
@@ -73,12 +92,12 @@ fn harmless(text: &str) -> String {
 }
 
 /// Writes to stderr what the terminal is to obey, as bars need it.
-pub(crate) fn write(text: &str) {
+pub fn write(text: &str) {
     drivers::write(text);
 }
 
 /// A notice that is shown once, when the command ends.
-pub(crate) fn note(text: &str) {
+pub fn note(text: &str) {
     if is(Volume::Verbose) {
         return tell(text);
     }
@@ -89,19 +108,20 @@ pub(crate) fn note(text: &str) {
 }
 
 /// What was noted of work that is not done after all.
-pub(crate) fn forget_notes() {
+pub fn forget_notes() {
     locked(&NOTES).clear();
 }
 
-pub(crate) fn tell_notes() {
+/// Writes what was noted, once.
+pub fn tell_notes() {
     std::mem::take(&mut *locked(&NOTES)).iter().for_each(|note| tell(note));
 }
 
-/// What `ask` returns. Graphics drivers write to the stderr of whoever opens them, and no setting of Vulkan keeps them
+/// Calls `ask`. Graphics drivers write to the stderr of whoever opens them, and no setting of Vulkan keeps them
 /// from it; so theirs leads nowhere meanwhile.
-pub(crate) fn without_drivers<T>(ask: impl FnOnce() -> T) -> T {
+fn without_drivers(ask: &mut dyn FnMut()) {
     let _silence = if is(Volume::Verbose) { None } else { drivers::Silence::begin() };
-    ask()
+    ask();
 }
 
 /// The content of a lock; a thread that has panicked leaves texts as they are.
@@ -176,7 +196,7 @@ mod drivers {
 }
 
 /// The means of an evaluation, as a line that starts with `name`.
-pub(crate) fn scores_line(name: &str, scores: &Evaluation) -> String {
+pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     let Evaluation { psnr, ssim, lpips, views } = scores;
     let lpips = lpips.map_or(String::new(), |lpips| format!("  LPIPS {lpips:.4}"));
     match views.len() {
@@ -189,13 +209,13 @@ pub(crate) fn scores_line(name: &str, scores: &Evaluation) -> String {
 }
 
 /// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause in it.
-pub(crate) fn error_line(error: &anyhow::Error) -> String {
+pub fn error_line(error: &anyhow::Error) -> String {
     let sentence = error.to_string();
     format!("error: {}", sentence.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 /// Replaces the panic message by one that a user can act on.
-pub(crate) fn explain_panics() {
+pub fn explain_panics() {
     panic::set_hook(Box::new(|info| complain(&bug_line(&info.to_string()))));
 }
 

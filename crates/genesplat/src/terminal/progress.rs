@@ -7,10 +7,10 @@ use std::io::{self, IsTerminal};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use genesplat::io::LoadProgress;
+use genesplat_run::numbers::{duration, thousands, time_left};
+use genesplat_run::output::{Progress, Work};
 use terminal_size::{Width, terminal_size_of};
 
-use super::numbers::{duration, thousands, time_left};
 use super::output;
 
 /// Lines come this often, in percent of the work,
@@ -76,23 +76,17 @@ enum Form {
 }
 
 impl Bar {
-    /// A bar for `total` pieces of `what`.
-    pub(crate) fn new(what: &str, total: u64) -> Self {
-        Self::at(what, 0, total)
-    }
-
-    /// The same for work that goes on from `position` (a resumed run).
-    pub(crate) fn at(what: &str, position: u64, total: u64) -> Self {
+    /// A bar for a piece of work; for one whose outcome someone else reports, without lines.
+    pub(crate) fn of(&Work { what, position, total, is_fleeting }: &Work<'_>) -> Self {
         let mut bar = Self::fleeting(what, position, total);
-        if !io::stderr().is_terminal() && !output::is_quiet() {
+        if !is_fleeting && !io::stderr().is_terminal() && !output::is_quiet() {
             let due_percent = percent(position, total) + LINE_PERCENT;
             bar.form = Form::Lines(Lines { due_percent, last: Instant::now() });
         }
         bar
     }
 
-    /// The same without lines, for work whose outcome someone else reports.
-    pub(crate) fn fleeting(what: &str, position: u64, total: u64) -> Self {
+    fn fleeting(what: &str, position: u64, total: u64) -> Self {
         let mut screen = Screen::lock();
         let is_drawn = io::stderr().is_terminal() && !output::is_quiet() && !screen.is_taken;
         screen.is_taken |= is_drawn;
@@ -100,8 +94,15 @@ impl Bar {
         Self { what: what.to_owned(), total, pace: Pace::from(position), form }
     }
 
-    /// `position` pieces are done; `note` says how it goes, with the more important parts before a comma.
-    pub(crate) fn set(&mut self, position: u64, note: impl FnOnce() -> String) {
+    fn draw(&self, position: u64, note: &str) {
+        let Width(width) = terminal_size_of(io::stderr()).map_or(Width(USUAL_WIDTH), |(width, _)| width);
+        let line = line(&self.what, position, self.total, note, usize::from(width).saturating_sub(1));
+        Screen::lock().draw(line);
+    }
+}
+
+impl Progress for Bar {
+    fn set(&mut self, position: u64, note: &dyn Fn() -> String) {
         self.pace.set(position, self.total);
         let is_last = position >= self.total;
         let left = self.pace.seconds_left(position, self.total).filter(|_| !is_last);
@@ -123,18 +124,11 @@ impl Bar {
         }
     }
 
-    /// Work waits at `position` for what `note` says.
-    pub(crate) fn wait(&mut self, position: u64, note: impl FnOnce() -> String) {
+    fn wait(&mut self, position: u64, note: &dyn Fn() -> String) {
         if let Form::Drawn(last) = &mut self.form {
             *last = None;
             self.draw(position, &note());
         }
-    }
-
-    fn draw(&self, position: u64, note: &str) {
-        let Width(width) = terminal_size_of(io::stderr()).map_or(Width(USUAL_WIDTH), |(width, _)| width);
-        let line = line(&self.what, position, self.total, note, usize::from(width).saturating_sub(1));
-        Screen::lock().draw(line);
     }
 }
 
@@ -223,23 +217,6 @@ impl Lines {
 
 fn percent(position: u64, total: u64) -> u64 {
     100 * position / total.max(1)
-}
-
-/// A bar for the photos of a scene.
-#[derive(Default)]
-pub(crate) struct LoadBar(Mutex<Option<(u64, Bar)>>);
-
-impl LoadProgress for LoadBar {
-    fn start(&self, photos: usize) {
-        *self.0.lock().expect("no thread panics while it holds this") = Some((0, Bar::new("photos", photos as u64)));
-    }
-
-    fn photo_done(&self) {
-        if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
-            *done += 1;
-            bar.set(*done, String::new);
-        }
-    }
 }
 
 #[cfg(test)]

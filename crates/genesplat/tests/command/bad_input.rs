@@ -103,8 +103,6 @@ fn paths_that_are_no_text() {
     let cpu = ["--device", "cpu", "--iterations", "3"].map(OsStr::new).map(OsStr::to_owned);
     fail(arguments(&out).iter().chain(&cpu), &["the path", "not UTF-8", "rename"]);
     assert!(!out.exists());
-    let smoke = ["experiment", "smoke", "--out"].map(OsStr::new);
-    fail(smoke.into_iter().chain([odd.as_os_str()]), &["the path", "not UTF-8"]);
     // Where the scene's path is text, that of the results need not be.
     let mut fine = arguments(&odd.join("run"));
     fine[1] = scene().into();
@@ -200,7 +198,6 @@ fn a_folder_has_one_writer() {
     let says = ["another genesplat is writing to", text(&out), "choose another --out"];
     // Before the scene is looked at.
     fail(train(&place.path().join("absent"), &out, &[]), &says);
-    fail(["experiment", "smoke", "--out", text(&out)], &says);
     // Dropped alone, it would be held by whatever process another test is starting at this moment.
     lock.unlock().unwrap();
     fs::remove_dir_all(out.join("checkpoint")).unwrap();

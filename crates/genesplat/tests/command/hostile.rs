@@ -59,13 +59,10 @@ fn a_pipe_in_place_of_a_file_is_one_sentence() {
     let (file, out) = (text(&file), text(&out));
     pipe(Path::new(file));
     let photo = scene().join("images/gallery_000.png");
-    fails(&["compare", file, text(&photo)]);
-    fails(&["compare", text(&photo), text(&photo), "--lpips-weights", file]);
+    fails(&["evaluate", file, text(&photo)]);
+    fails(&["evaluate", text(&photo), text(&photo), "--lpips-weights", file]);
     fails(&["evaluate", file, "--data", text(scene())]);
     fails(&["train", text(scene()), "--out", out, "--config", file]);
-    let experiment = at("experiment.toml");
-    pipe(&experiment);
-    fails(&["experiment", text(&experiment), "--out", out]);
     for name in ["sparse/0/images.bin", "sparse/0/points3D.bin"] {
         let scene = at(&name.replace('/', "_"));
         copy_scene(&scene);
@@ -78,7 +75,7 @@ fn a_pipe_in_place_of_a_file_is_one_sentence() {
     pipe(&run.join("checkpoint/latest.checkpoint"));
     fails(&["train", text(scene()), "--out", text(&run), "--device", "cpu", "--resume"]);
     // Endless, where a pipe is silent.
-    judge_failure(end_of(["compare", "/dev/zero", text(&photo)]), &["a device", "regular file"]);
+    judge_failure(end_of(["evaluate", "/dev/zero", text(&photo)]), &["a device", "regular file"]);
 }
 
 /// ESC begins a command to the terminal, a line break a line that we did not write.

@@ -92,12 +92,12 @@ fn one_wrong_weight_is_noticed() {
 }
 
 #[test]
-fn compare_prints_both_conventions() {
+fn two_pictures_are_compared_by_both_conventions() {
     let Some(folder) = real_weights() else { return };
     let out = tempfile::tempdir().unwrap();
     let file = out.path().join("scores.json");
     let [a, b] = ["ex_ref.png", "ex_p1.png"].map(|name| folder.join("pairs").join(name));
-    let arguments = ["compare", text(&a), text(&b), "--lpips-weights", text(&folder), "--json", text(&file)];
+    let arguments = ["evaluate", text(&a), text(&b), "--lpips-weights", text(&folder), "--json", text(&file)];
     let said = succeed(arguments);
     assert!(said.contains("VGG16    0.4050") && said.contains("0.4216") && said.contains("0.1375"), "{said}");
     let scores = json(&file);
@@ -151,7 +151,7 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         String::from_utf8(output.stdout).unwrap() + &String::from_utf8(output.stderr).unwrap()
     };
-    let said = in_cache(&["lpips", "install", text(&network), text(&heads)]);
+    let said = in_cache(&["evaluate", "--install-lpips", text(&network), text(&heads)]);
     assert!(said.contains("is not known here") && said.contains("VGG16 is installed"), "{said}");
     assert_eq!(fs::read_dir(cache.join("genesplat/lpips")).unwrap().count(), 1, "no litter");
 
@@ -172,7 +172,7 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     let photo = folder.path().join("photo.png");
     write_png(&photo, &resize(&read_photo(&scene().join("images").join(name)).unwrap(), width, height)).unwrap();
     let compared = folder.path().join("compared.json");
-    in_cache(&["compare", text(&picture), text(&photo), "--json", text(&compared)]);
+    in_cache(&["evaluate", text(&picture), text(&photo), "--json", text(&compared)]);
     let distances = json(&compared)["lpips_by_network"]["vgg16"].clone();
     assert_eq!(view["lpips"], distances["zero_to_one"]);
     assert_ne!(view["lpips"], distances["minus_one_to_one"]);
@@ -229,11 +229,11 @@ fn scoring_is_stopped_between_photos() {
 #[test]
 fn without_weights_one_sentence_says_how_to_get_them() {
     let [a, b] = ["gallery_000.png", "gallery_001.png"].map(|name| scene().join("images").join(name));
-    let output = run(["compare", text(&a), text(&b)]);
+    let output = run(["evaluate", text(&a), text(&b)]);
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && stderr.lines().count() == Net::ALL.len(), "{stderr}");
-    assert!(stderr.lines().all(|line| line.contains("genesplat lpips install")), "{stderr}");
-    let output = run(["compare", text(&a), text(&b), "--no-lpips"]);
+    assert!(stderr.lines().all(|line| line.contains("--install-lpips")), "{stderr}");
+    let output = run(["evaluate", text(&a), text(&b), "--no-lpips"]);
     assert!(output.status.success() && output.stderr.is_empty());
 }
 
@@ -241,7 +241,7 @@ fn without_weights_one_sentence_says_how_to_get_them() {
 fn weights_that_cannot_be_used() {
     let (folder, [network, heads]) = two_files(Net::AlexNet);
     let install = |files: &[&Path], words: &[&str]| {
-        fail(["lpips", "install"].into_iter().chain(files.iter().map(|file| text(file))), words);
+        fail(["evaluate", "--install-lpips"].into_iter().chain(files.iter().map(|file| text(file))), words);
     };
     install(&[&network], &["AlexNet", "lin0.weight", "both files"]);
     install(&[&heads], &["AlexNet", "features.0.weight", "both files"]);

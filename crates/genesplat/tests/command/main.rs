@@ -1,13 +1,11 @@
 //! The built command, as a user runs it: files in, files and exit status out.
 
 mod bad_input;
-mod bench;
 mod blocks;
 mod camera_path;
 mod convert;
 mod determinism;
 mod disk;
-mod experiment;
 mod hostile;
 mod inspect;
 mod kills;

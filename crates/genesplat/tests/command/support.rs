@@ -29,10 +29,24 @@ pub(crate) fn copy_scene(folder: &Path) {
     copy(scene(), folder);
 }
 
+/// The program that has this command. The laboratory's tests need the other program, too, which `cargo test` builds beside it.
+pub(crate) fn program_of(command: &std::ffi::OsStr) -> PathBuf {
+    let Some(lab) = option_env!("CARGO_BIN_EXE_genesplat-lab") else {
+        return option_env!("CARGO_BIN_EXE_genesplat").expect("cargo names the program").into();
+    };
+    if ["experiment", "bench", "tables"].iter().any(|own| command == *own) {
+        return lab.into();
+    }
+    let beside = Path::new(lab).with_file_name(format!("genesplat{}", std::env::consts::EXE_SUFFIX));
+    assert!(beside.exists(), "there is no {}: cargo build --release -p genesplat", beside.display());
+    beside
+}
+
 /// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of
 /// sight.
 pub(crate) fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_genesplat"));
+    let arguments: Vec<_> = arguments.into_iter().map(|word| word.as_ref().to_owned()).collect();
+    let mut command = Command::new(program_of(arguments.first().map_or("".as_ref(), |word| word.as_os_str())));
     command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", NOWHERE.path());
     // Mesa's choice of a device asks for a desktop, and complains on stderr where there is none.
     command.env("NODEVICE_SELECT", "1");
@@ -176,4 +190,15 @@ pub(crate) fn python_with(module: &str) -> Option<PathBuf> {
         skipped(&format!("{} has no {module} (see .ci/run)", python.display()));
     }
     has_it.then_some(python)
+}
+
+/// A short run that several tests look at.
+static RUN: LazyLock<TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(train(scene(), &folder.path().join("run"), &["--iterations", "200", "--max-side", "56"]));
+    folder
+});
+
+pub(crate) fn finished_run() -> PathBuf {
+    RUN.path().join("run")
 }

@@ -1,29 +1,14 @@
 //! The commands that look at finished splats, and those that look at the machine.
 
-use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
+use std::path::Path;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use genesplat::core::Photo;
 use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::photos::{read_photo, write_png};
-use tempfile::TempDir;
 
-use crate::support::{
-    copy_scene, fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers,
-};
-
-/// A short run that several tests look at.
-static RUN: LazyLock<TempDir> = LazyLock::new(|| {
-    let folder = tempfile::tempdir().unwrap();
-    succeed(train(scene(), &folder.path().join("run"), &["--iterations", "200", "--max-side", "56"]));
-    folder
-});
-
-pub(crate) fn finished_run() -> PathBuf {
-    RUN.path().join("run")
-}
+use crate::support::{copy_scene, fail, finished_run, json, number, run, scene, succeed, text, train, without_drivers};
 
 #[test]
 fn evaluating_a_run_repeats_its_metrics() {
@@ -161,13 +146,17 @@ fn pictures_are_compared() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("scores.json");
     let [a, b] = ["gallery_000.png", "gallery_001.png"].map(|name| scene().join("images").join(name));
-    succeed(["compare", text(&a), text(&b), "--json", text(&file)]);
+    succeed(["evaluate", text(&a), text(&b), "--json", text(&file)]);
     let scores = json(&file);
     assert!(number(&scores["psnr"]) > 5.0 && number(&scores["ssim"]) < 1.0 && scores["lpips"].is_null());
-    succeed(["compare", text(&a), text(&a), "--json", text(&file)]);
+    succeed(["evaluate", text(&a), text(&a), "--json", text(&file)]);
     assert_eq!((&json(&file)["psnr"], &json(&file)["ssim"]), (&120.0.into(), &1.0.into()));
     let smaller = finished_run().join("test/gallery_000.png");
-    fail(["compare", text(&a), text(&smaller)], &["64x48", "56x42"]);
+    fail(["evaluate", text(&a), text(&smaller)], &["64x48", "56x42"]);
+    fail(["evaluate", text(&a)], &["gallery_000.png is a picture", "give another one"]);
+    let of_splats = run(["evaluate", text(&a), text(&a), "--max-side", "32"]);
+    assert_eq!(of_splats.status.code(), Some(2), "a flag that says nothing of two pictures");
+    assert_eq!(run(["evaluate"]).status.code(), Some(2), "nothing to evaluate");
 }
 
 /// 16x16 pixels of 16 bits, half transparent.
@@ -182,7 +171,7 @@ fn what_is_not_compared_is_said() {
         write_png(path, &Photo { width: 16, height: 16, rgb: vec![level; 3 * 16 * 16] }).unwrap();
     }
     let compared = |a, b| {
-        let output = run(["compare", text(a), text(b), "--no-lpips"]);
+        let output = run(["evaluate", text(a), text(b), "--no-lpips"]);
         assert!(output.status.success());
         [output.stdout, output.stderr].map(|said| String::from_utf8(said).unwrap())
     };
@@ -281,9 +270,8 @@ fn inputs_are_not_written_over() {
     fail(refine.into_iter().chain([text(&splat)]), &["point_cloud.ply is an input"]);
     let evaluate = ["evaluate", text(&run), "--data", "absent", "--json", text(&config)];
     fail(evaluate, &["config.toml is part of a run", "another file"]);
-    fail(["compare", text(&photo), text(&photo), "--json", text(&photo)], &["is an input"]);
+    fail(["evaluate", text(&photo), text(&photo), "--json", text(&photo)], &["is an input"]);
     lists_are_not_written_over(&run);
-    fail(["bench", "step", "--json", text(&photo)], &["gallery_000.png is a picture"]);
     assert!(before == [&photo, &splat, &config].map(|file| std::fs::read(file).unwrap()));
 }
 
@@ -337,14 +325,8 @@ fn what_cannot_be_written_is_said_at_once() {
     fail(["convert", text(&run), text(&ply), "--spz-version", "3"], &["--spz-version is for .spz"]);
     fail(["inspect", text(&run), "--near", "1"], &["is no scene", "leave out"]);
     fail(of_run("render", &["--split", "test", "--out", text(&file)]), &["is a file", "--out"]);
-    fail(["compare", text(&photo), text(&photo), "--json", here], &is_a_folder);
-    for what in ["step", "evolution", "gpu"] {
-        // Before a driver is looked for, or a scene is read.
-        let bench = ["bench", what, "--gaussians", "1000000", "--json", here];
-        judge_failure(without_drivers(bench).output().unwrap(), &is_a_folder);
-    }
+    fail(["evaluate", text(&photo), text(&photo), "--json", here], &is_a_folder);
     fail(train(scene(), &file, &["--iterations", "3"]), &["is a file", "results need a folder"]);
-    fail(["experiment", "smoke", "--out", text(&file)], &["is a file", "results need a folder"]);
 }
 
 #[cfg(target_os = "linux")]
@@ -354,12 +336,12 @@ fn figures_may_go_to_a_pipe() {
 
     let folder = tempfile::tempdir().unwrap();
     let picture = text(&finished_run().join("test/gallery_000.png")).to_owned();
-    let said = succeed(["compare", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"]);
+    let said = succeed(["evaluate", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"]);
     assert!(said.contains("PSNR") && said.contains("\"ssim\": 1.0"), "{said}");
     // Where stdout is a file, figures follow what was printed.
     let file = folder.path().join("said.txt");
     let stdout = std::fs::File::create(&file).unwrap();
-    let arguments = ["compare", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"];
+    let arguments = ["evaluate", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"];
     assert!(command(arguments).stdout(stdout).status().unwrap().success());
     assert_eq!(std::fs::read_to_string(&file).unwrap(), said);
 }
@@ -398,14 +380,29 @@ fn devices_are_listed() {
 #[test]
 fn shells_and_man_are_told_of_every_command() {
     for (shell, sign) in [("bash", "complete -F"), ("zsh", "#compdef genesplat"), ("fish", "complete -c genesplat")] {
-        let script = succeed(["completions", shell]);
+        let script = succeed(["man", "--completions", shell]);
         assert!(script.contains(sign) && script.contains("max-gaussians"), "{shell}: {script}");
     }
     let page = succeed(["man"]);
     assert!(page.starts_with(".ie") && page.contains(".TH genesplat 1") && page.contains("refine"), "{page}");
     let page = succeed(["man", "train"]);
     assert!(page.contains(".TH genesplat-train 1") && page.contains("\\-\\-max\\-gaussians"), "{page}");
-    assert!(succeed(["man", "bench step"]).contains(".TH genesplat-bench-step 1"));
-    fail(["man", "trains"], &["no command \"trains\"", "experiment"]);
-    fail(["man", "bench stop"], &["no command \"bench stop\"", "step, evolution, gpu"]);
+    fail(["man", "trains"], &["no command \"trains\"", "refine"]);
+}
+
+#[test]
+fn commands_of_earlier_versions_say_where_they_are_now() {
+    for (old, new) in [
+        (&["experiment", "smoke", "--out", "x"][..], "genesplat-lab experiment"),
+        (&["bench", "step"], "genesplat-lab bench"),
+        (&["compare", "a.png", "b.png"], "genesplat evaluate A.png B.png"),
+        (&["lpips", "install", "a.pth"], "genesplat evaluate --install-lpips"),
+        (&["completions", "bash"], "genesplat man --completions"),
+    ] {
+        let output = run(old);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && said.lines().count() == 1 && said.contains(new), "{old:?}: {said}");
+    }
+    let said = String::from_utf8(run(["trian"]).stderr).unwrap();
+    assert!(said.contains("unrecognized subcommand") && said.contains("train"), "{said}");
 }

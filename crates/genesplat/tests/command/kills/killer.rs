@@ -11,7 +11,7 @@ use tempfile::TempDir;
 /// Made by the compiler that Rust links with.
 static LIBRARY: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/command/kills/killer.c");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../genesplat/tests/command/kills/killer.c");
     let library = folder.path().join("killer.so");
     let built =
         Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).args([&library, &source]).arg("-ldl").status();

@@ -1,0 +1,44 @@
+//! One module a command.
+
+mod bench;
+mod experiment;
+mod tables;
+
+use std::path::Path;
+
+use anyhow::Result;
+use genesplat::flags::JsonArgs;
+use genesplat::run::overwrite::{Content, check_file};
+use genesplat::terminal::program::Ending;
+
+use crate::args::{Arguments, Bench, Command};
+
+pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
+    match arguments.command {
+        Command::Experiment(args) => return experiment::run(&args),
+        Command::Bench { what } => bench(&what),
+        Command::Tables(args) => tables::run(&args),
+    }
+    .map(|()| Ending::Whole)
+}
+
+/// What `--json` names passes here before anything is read.
+fn bench(what: &Bench) -> Result<()> {
+    let check = |json: &JsonArgs, splat: Option<&Path>| {
+        json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, &[splat]))
+    };
+    match what {
+        Bench::Step(args) => {
+            check(&args.json, args.workload.source.splat.as_deref())?;
+            bench::step::run(args)
+        }
+        Bench::Evolution(args) => {
+            check(&args.json, args.workload.source.splat.as_deref())?;
+            bench::evolution::run(args)
+        }
+        Bench::Gpu(args) => {
+            check(&args.json, args.source.splat.as_deref())?;
+            bench::gpu::run(args)
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! The built laboratory, as it is used: files in, files and exit status out.
+
+mod bench;
+mod experiment;
+mod kills;
+mod refused;
+#[allow(dead_code, reason = "the command's tests use the rest")]
+#[path = "../../../genesplat/tests/command/support.rs"]
+mod support;

@@ -1,0 +1,157 @@
+//! Where the numbers are crunched: what a user may ask for, and what that comes to on this machine.
+
+use std::sync::OnceLock;
+
+use anyhow::{Result, anyhow, bail};
+use genesplat_core::{
+    DensitySignal, EvolutionBackend, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update,
+};
+use genesplat_gpu::{AdapterReport, GpuBackend, adapters, check_best};
+use genesplat_kernels::cpu::CpuBackend;
+use serde::{Deserialize, Serialize};
+
+use crate::output;
+
+/// What computes.
+pub type Device = Box<dyn EvolutionBackend>;
+
+/// A choice of device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DeviceChoice {
+    /// The graphics card if this machine has one that can be used, else the processor.
+    #[default]
+    Auto,
+    /// All cores of the processor.
+    Cpu,
+    /// The best graphics device with a Vulkan, Metal or DX12 driver, even one in software.
+    Gpu,
+}
+
+impl DeviceChoice {
+    /// As flags and files call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+        }
+    }
+
+    /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is known to
+    /// be well: drivers may write to stderr when they are looked for.
+    pub fn resolve(self) -> Result<Self> {
+        match self {
+            Self::Cpu => Ok(Self::Cpu),
+            Self::Auto => Ok(if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }),
+            Self::Gpu if graphics().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
+            Self::Gpu => bail!("{}; use --device cpu", why_none(graphics())),
+        }
+    }
+}
+
+/// The graphics devices of this machine.
+pub fn graphics() -> &'static [AdapterReport] {
+    output::without_drivers(adapters)
+}
+
+/// What `auto` comes to. A driver may refuse what it has promised, so the device is opened once to see.
+fn auto_choice() -> &'static Result<(), String> {
+    static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
+    CHOICE.get_or_init(|| {
+        let opened = || output::without_drivers(check_best).map_err(|error| error.to_string());
+        let chosen = auto_adapter(graphics()).and_then(|adapter| opened().map(|()| adapter));
+        match &chosen {
+            Ok(adapter) => output::note(&format!(
+                "notice: {} ({}) does the work, though no graphics card has been tried yet; --device cpu is the tested way",
+                adapter.name, adapter.api
+            )),
+            Err(reason) => output::note(&format!("notice: the CPU did all the work, since {reason}")),
+        }
+        chosen.map(|_| ())
+    })
+}
+
+/// The graphics device that `auto` takes, or why it takes none: one in software is slower than the CPU backend.
+fn auto_adapter(adapters: &[AdapterReport]) -> Result<&AdapterReport, String> {
+    let usable = || adapters.iter().filter(|adapter| adapter.unusable.is_none());
+    match usable().find(|adapter| !adapter.is_software()) {
+        Some(adapter) => Ok(adapter),
+        None => Err(usable().next().map_or_else(
+            || why_none(adapters),
+            |software| format!("{} is no graphics card but software, slower than the CPU itself", software.name),
+        )),
+    }
+}
+
+/// Why no graphics device can be used, as the middle of a sentence.
+fn why_none(adapters: &[AdapterReport]) -> String {
+    let reason = |adapter: &AdapterReport| adapter.unusable.as_ref().map(|reason| format!("{} {reason}", adapter.name));
+    let reasons: Vec<String> = adapters.iter().filter_map(reason).collect();
+    if reasons.is_empty() {
+        return "this machine has no graphics device with a Vulkan, Metal or DX12 driver".into();
+    }
+    reasons.join("; ")
+}
+
+/// Opens the device that is meant.
+pub fn open(choice: DeviceChoice) -> Result<Device> {
+    match choice.resolve()? {
+        DeviceChoice::Gpu => Ok(Box::new(output::without_drivers(GpuBackend::new)?)),
+        DeviceChoice::Cpu | DeviceChoice::Auto => Ok(Box::new(CpuBackend::new())),
+    }
+}
+
+/// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts from 1.
+pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
+    let rates = LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
+    TrainStep {
+        view,
+        settings,
+        update: Some(Update { rates, step, opacity_step: step, mcmc: None }),
+        keeps_gradients: false,
+        statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
+    }
+}
+
+/// Sets the number of threads of everything that follows; `None` takes all cores.
+pub fn use_threads(threads: Option<u16>) -> Result<()> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
+        anyhow!("cannot start {}: {error}; use fewer --threads, or raise the limits of this process", wanted(threads))
+    })
+}
+
+fn wanted(threads: Option<u16>) -> String {
+    threads.map_or_else(|| "a thread for each core".into(), |threads| format!("{threads} threads"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
+        AdapterReport {
+            name: name.into(),
+            kind,
+            api: "Vulkan".into(),
+            driver: String::new(),
+            binding_bytes: 1 << 30,
+            buffer_bytes: 1 << 30,
+            workgroup_bytes: 32 << 10,
+            timestamps: true,
+            subgroups: true,
+            unusable: unusable.map(str::to_owned),
+        }
+    }
+
+    #[test]
+    fn auto_takes_a_card_and_no_software() {
+        let (card, software) = (adapter("card", "discrete", None), adapter("soft", "software", None));
+        let small = adapter("small", "discrete", Some("has too few bytes"));
+        let chosen = |adapters: &[AdapterReport]| auto_adapter(adapters).map(|adapter| adapter.name.clone());
+        assert_eq!(chosen(&[small.clone(), card, software.clone()]), Ok("card".into()));
+        assert!(chosen(&[software]).unwrap_err().contains("soft"));
+        assert!(chosen(&[small]).unwrap_err().contains("too few bytes"));
+        assert!(chosen(&[]).unwrap_err().contains("no graphics device"));
+    }
+}

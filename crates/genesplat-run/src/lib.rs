@@ -1,0 +1,72 @@
+//! A run: its settings, the folder that it leaves behind, and training into it.
+//!
+//! The command, experiments and bindings stand on this library. It knows no arguments and no terminal, and never ends
+//! the process: what is to be said goes to who listens ([`output::Tell`]).
+//!
+//! Names in the folder are fixed: people and scripts rely on them.
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `config.toml` | every setting, resolved; `--config` repeats the run |
+//! | `log.jsonl` | one line a report |
+//! | `tensorboard/events.out.tfevents.genesplat` | its curves for TensorBoard, where they were asked for |
+//! | `point_cloud.ply` | the splat, in the layout that every viewer opens |
+//! | `point_cloud_fused.ply` | Mip-Splatting: the same with its 3D filter baked in, for viewers that do not know it |
+//! | `test/NAME.png` | renders of the photos that training never saw |
+//! | `metrics.json` | the figures |
+//! | `report.html` | all of it, to look at |
+//! | `snapshots/iteration-N.ply` | the splat at some iterations, where the live page was asked to save it |
+//! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
+//! | `.lock` | empty; whoever writes to the folder holds its lock |
+//!
+//! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves what was there before.
+
+pub mod cluster;
+pub mod device;
+mod digest;
+mod failure;
+pub mod files;
+pub mod live;
+pub mod lock;
+mod log;
+pub mod lpips;
+pub mod memory;
+pub mod metrics;
+pub mod numbers;
+pub mod output;
+pub mod overwrite;
+pub mod photos;
+pub mod report;
+pub mod reporter;
+pub mod scene;
+pub mod score;
+pub mod session;
+pub mod settings;
+pub mod splat;
+mod tensorboard;
+mod test_curve;
+pub mod training;
+
+/// Every setting of the run, resolved.
+pub const CONFIG: &str = "config.toml";
+/// The figures.
+pub const METRICS: &str = "metrics.json";
+/// A line of JSON for every report.
+pub const LOG: &str = "log.jsonl";
+/// Its curves for TensorBoard.
+pub(crate) const EVENTS: &str = "tensorboard/events.out.tfevents.genesplat";
+/// The page to look at.
+pub const REPORT: &str = "report.html";
+/// The splat.
+pub const CLOUD: &str = "point_cloud.ply";
+/// The same with its 3D filter baked in.
+pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
+/// The folder of renders of test photos.
+pub const TEST: &str = "test";
+/// The folder of splats that the live page had saved.
+pub(crate) const SNAPSHOTS: &str = "snapshots";
+/// The state of an unfinished run.
+pub const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
+
+/// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
+const RESULTS: [&str; 7] = [METRICS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];

@@ -1,0 +1,120 @@
+//! What evolution did in a run, stage by stage.
+
+use std::collections::BTreeMap;
+
+use genesplat_io::plural;
+use genesplat_train::{StageKind, StageRecord};
+
+use super::chart::{Chart, Series};
+use super::html::Html;
+use crate::numbers::{duration, thousands};
+
+/// Writes the section; nothing for a run without stages.
+pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
+    if records.is_empty() {
+        return;
+    }
+    // One that is kept or taken back later than others begin is recorded behind them.
+    let mut records: Vec<&StageRecord> = records.iter().collect();
+    records.sort_by_key(|record| record.iteration);
+    let kept = records.iter().filter(|record| record.changed > 0).count();
+    let stages = plural(records.len(), "stage", "stages");
+    page.element("h2", "What evolution did")
+        .element("p", &format!("{kept} of {} {stages} changed the cloud.", records.len()));
+    for kind in StageKind::ALL.into_iter().filter(|kind| records.iter().any(|record| record.kind == *kind)) {
+        page.element("p class=\"dim\"", about(kind));
+    }
+    page.open("div class=\"row\"");
+    guard_chart(&records).write(page);
+    page.close("div");
+    write_table(page, &records);
+}
+
+/// What a stage does, and what decides whether it stays.
+fn about(kind: StageKind) -> &'static str {
+    match kind {
+        StageKind::Paper => "A search (paper) stays if the loss on its training photos falls.",
+        StageKind::ExtraSteps => "Extra steps are gradient steps in the place of evolution, and always stay.",
+        StageKind::Averaging => {
+            "Averages of the last states fit training photos a little less as a rule, and others better; they stay unless the guards, \
+             which are training photos, lose 0.6 dB by them."
+        }
+        StageKind::Renewal => {
+            "A renewal replaces the Gaussians that contribute least; it stays if the mean PSNR of the guards, which are training \
+             photos, has not fallen by the next one."
+        }
+    }
+}
+
+/// What guards gained by each stage, a curve a kind.
+fn guard_chart(records: &[&StageRecord]) -> Chart {
+    let mut kinds: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
+    for record in records {
+        let Some([before, after]) = record.guard_psnr else { continue };
+        kinds.entry(record.kind.name()).or_default().push([record.iteration.into(), after - before]);
+    }
+    let series = kinds.into_iter().map(|(name, points)| Series { name: name.into(), points });
+    Chart { caption: "Guard PSNR gained by each stage, dB".into(), x_name: "iteration", series: series.collect() }
+}
+
+fn write_table(page: &mut Html, records: &[&StageRecord]) {
+    page.open("details").element("summary", "Every stage");
+    page.open("figure class=\"table\"").open("table");
+    let guards = ["guard PSNR before, dB", "after, dB"];
+    let names = ["iteration", "stage", "Gaussians changed", guards[0], guards[1], "loss before", "after"];
+    page.headings(&[&names[..], &["renders", "time"]].concat());
+    for record in records {
+        let guard = |which: usize| record.guard_psnr.map_or("-".into(), |psnr: [f64; 2]| format!("{:.2}", psnr[which]));
+        let cells = [
+            record.kind.name().to_owned(),
+            thousands(record.changed),
+            guard(0),
+            guard(1),
+            format!("{:.5}", record.fitness_before),
+            format!("{:.5}", record.fitness_after),
+            thousands(record.renders as usize),
+            duration(record.seconds),
+        ];
+        page.row(&thousands(record.iteration as usize), &cells);
+    }
+    page.close("table").close("figure").close("details");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(iteration: u32, guard_psnr: Option<[f64; 2]>) -> StageRecord {
+        StageRecord {
+            kind: if guard_psnr.is_some() { StageKind::Renewal } else { StageKind::Paper },
+            iteration,
+            generations: 1,
+            renders: 1200,
+            fitness_before: 0.2,
+            fitness_after: 0.1,
+            guard_psnr,
+            changed: 4300,
+            population_bytes: 0,
+            seconds: 2.0,
+        }
+    }
+
+    #[test]
+    fn stages_come_in_the_order_of_their_iterations() {
+        let mut page = Html::new();
+        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))]);
+        let text = page.into_text();
+        let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
+        assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
+        assert!(at("2 of 2 stages changed") > 0 && at("A renewal replaces") > 0 && !text.contains("Averages of"));
+        assert!(at("<td>4,300</td>") > 0 && at("<td>30.50</td>") > 0 && at("<td>1,200</td>") > 0);
+    }
+
+    #[test]
+    fn what_guards_gained_is_a_curve() {
+        let mut page = Html::new();
+        write(&mut page, &[record(3500, Some([30.0, 30.5])), record(4000, Some([30.5, 30.6]))]);
+        let text = page.into_text();
+        assert!(text.contains("Guard PSNR gained") && text.matches("<svg").count() == 1, "{text}");
+    }
+}

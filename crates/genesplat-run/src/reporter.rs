@@ -1,0 +1,304 @@
+//! What a run tells while it is under way: one bar and a few sentences, lines in the log, checkpoints on disk.
+//!
+//! An observer cannot fail, so the first thing that goes wrong here (a full disk, most likely) is kept and the run is
+//! told to stop.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Result;
+use genesplat_core::Sight;
+use genesplat_io::shown;
+use genesplat_train::observe::{
+    DensifyLog, GenerationLog, LogRecord, StageKind, StageLog, StageRecord, StartLog, StepLog,
+};
+use genesplat_train::{Checkpoint, Observer};
+use genesplat_viewer::{LiveView, Owner};
+
+use crate::cluster::{self, Cluster};
+use crate::log::Log;
+use crate::numbers::thousands;
+use crate::output::{self, Bar};
+use crate::session::{Caller, RunSession};
+use crate::test_curve::TestCurve;
+
+/// Tells how a run goes.
+pub struct Reporter<'a> {
+    run: Option<(&'a RunSession, Option<&'a Cluster>)>,
+    log: Option<Log>,
+    /// Says nothing, and draws bars that vanish.
+    quiet: bool,
+    curve: Option<TestCurve<'a>>,
+    /// A page that shows the run.
+    live: Option<&'a mut LiveView>,
+    stop: &'a AtomicBool,
+    /// Of gradient steps; where there are none, of the generations of a stage.
+    bar: Option<Bar>,
+    /// A search of so many generations, while gradient steps wait; its own bar, where there is no other.
+    search: Option<(u32, Option<Bar>)>,
+    gaussians: usize,
+    /// Of the last photo, and of the test photos, dB.
+    quality: (Option<f32>, Option<f64>),
+    trouble: Option<anyhow::Error>,
+}
+
+impl<'a> Reporter<'a> {
+    /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer possible; scores
+    /// test photos now and then. An experiment speaks for itself, but for bars that vanish.
+    pub(crate) fn of_run(
+        run: (&'a RunSession, Option<&'a Cluster>),
+        log: Option<Log>,
+        curve: Option<TestCurve<'a>>,
+        live: Option<&'a mut LiveView>,
+        stop: &'a AtomicBool,
+    ) -> Self {
+        let quiet = run.0.caller() == Caller::Experiment;
+        Self { run: Some(run), log, quiet, curve, live, ..Self::without_folder(stop) }
+    }
+
+    /// Reports to who listens only.
+    pub fn without_folder(stop: &'a AtomicBool) -> Self {
+        Self {
+            run: None,
+            log: None,
+            quiet: false,
+            curve: None,
+            live: None,
+            stop,
+            bar: None,
+            search: None,
+            gaussians: 0,
+            quality: (None, None),
+            trouble: None,
+        }
+    }
+
+    pub(crate) fn into_result(self) -> Result<()> {
+        self.trouble.map_or(Ok(()), Err)
+    }
+
+    fn new_bar(&self, what: &str, position: u64, total: u64) -> Bar {
+        if self.quiet { Bar::fleeting(what, position, total) } else { Bar::at(what, position, total) }
+    }
+
+    fn say(&self, text: &str) {
+        if !self.quiet {
+            output::tell(text);
+        }
+    }
+
+    fn log(&mut self, record: &LogRecord) {
+        if let Some(log) = &mut self.log {
+            let written = log.append(record);
+            self.keep(written);
+        }
+    }
+
+    fn score_test_photos(&mut self, iteration: u32, sight: &mut Sight<'_>) {
+        let Some(curve) = self.curve.as_ref().filter(|curve| curve.is_due(iteration)) else { return };
+        match curve.score(sight) {
+            Ok(psnr) => {
+                self.quality.1 = psnr.or(self.quality.1);
+                if let (Some(live), Some(psnr)) = (&mut self.live, psnr) {
+                    live.test_score(iteration, psnr);
+                }
+                self.log(&LogRecord::TestScore { iteration, psnr });
+            }
+            Err(error) => self.keep(Err(error)),
+        }
+    }
+
+    fn keep(&mut self, result: Result<()>) {
+        if let Err(error) = result {
+            self.trouble.get_or_insert(error);
+            self.stop.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What a page may ask of the run.
+struct Steering<'a> {
+    iteration: u32,
+    session: Option<&'a RunSession>,
+    stop: &'a AtomicBool,
+}
+
+impl Owner for Steering<'_> {
+    fn snapshot(&mut self, sight: &mut Sight<'_>) -> String {
+        let Some(session) = self.session else { return "this run has no folder to save to".into() };
+        match session.write_snapshot(self.iteration, sight) {
+            Ok(path) => format!("saved as {}", shown(path)),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    fn stop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        output::tell("stopping, as the page asks: results so far are being saved");
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
+impl Observer for Reporter<'_> {
+    fn on_start(&mut self, log: &StartLog) {
+        let StartLog { device, gaussians, views, .. } = log;
+        self.gaussians = *gaussians;
+        self.say(&format!("{device}: {} Gaussians, {views} training photos", thousands(*gaussians)));
+        if let Some(live) = &mut self.live {
+            live.begin(device, *gaussians, log.iterations);
+        }
+        self.log(&LogRecord::Start(log.clone()));
+    }
+
+    fn on_iteration(&mut self, log: &StepLog) {
+        if self.bar.is_none() {
+            self.bar = Some(self.new_bar("training", u64::from(log.iteration) - 1, log.iterations.into()));
+        }
+        self.gaussians = log.gaussians;
+        if let Some(live) = &mut self.live {
+            live.step(log.iteration, log.gaussians, log.report.map(|report| report.loss));
+        }
+        if let Some(report) = log.report {
+            self.quality.0 = Some(report.loss);
+            self.log(&LogRecord::Step(log.clone()));
+        }
+        let quality = match self.quality {
+            (_, Some(psnr)) => format!("test PSNR {psnr:.2} dB, "),
+            (Some(loss), None) => format!("loss {loss:.3}, "),
+            (None, None) => String::new(),
+        };
+        if let Some(bar) = &mut self.bar {
+            bar.set(log.iteration.into(), || format!("{quality}{} Gaussians", thousands(log.gaussians)));
+        }
+    }
+
+    fn on_densify(&mut self, log: &DensifyLog) {
+        self.log(&LogRecord::Densify(*log));
+    }
+
+    fn on_stage_start(&mut self, log: &StageLog) {
+        // One without a search goes on while the run does, or is over at once.
+        if log.generations > 1 {
+            // Generation 0 is the initial population.
+            let generations = log.generations + 1;
+            let bar = self.bar.is_none().then(|| self.new_bar("evolution", 0, generations.into()));
+            self.search = Some((generations, bar));
+        }
+        self.log(&LogRecord::StageStart(log.clone()));
+    }
+
+    fn on_generation(&mut self, log: &GenerationLog) {
+        let done = log.generation + 1;
+        match (&mut self.search, &mut self.bar) {
+            (Some((_, Some(bar))), _) => bar.set(done.into(), || format!("loss {:.4}", log.best)),
+            (Some((generations, None)), Some(bar)) => {
+                bar.wait(log.iteration.into(), || format!("evolution: generation {done} of {generations}"));
+            }
+            _ => {}
+        }
+        self.log(&LogRecord::Generation(*log));
+    }
+
+    fn on_stage_end(&mut self, record: &StageRecord) {
+        self.search = None;
+        let sentence = stage_sentence(record, self.gaussians);
+        self.say(&sentence);
+        if let Some(live) = &mut self.live {
+            let gain = record.guard_psnr.map(|[before, after]| after - before);
+            live.stage(record.iteration, record.kind.name(), record.changed > 0, gain);
+            live.notice(&sentence);
+        }
+        self.log(&LogRecord::StageEnd(*record));
+    }
+
+    fn notice(&mut self, text: &str) {
+        self.say(&format!("notice: {text}"));
+        if let Some(live) = &mut self.live {
+            live.notice(text);
+        }
+        self.log(&LogRecord::Notice { text: text.to_owned() });
+    }
+
+    fn wants_renders(&mut self, iteration: u32) -> bool {
+        let is_watched = self.live.as_mut().is_some_and(|live| live.is_due());
+        is_watched || self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
+    }
+
+    fn on_renders(&mut self, iteration: u32, sight: &mut Sight<'_>) {
+        self.score_test_photos(iteration, sight);
+        let session = self.run.map(|(session, _)| session);
+        if let Some(live) = &mut self.live {
+            live.attend(sight, &mut Steering { iteration, session, stop: self.stop });
+        }
+    }
+
+    fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
+        let Some((session, cluster)) = self.run else { return };
+        let written = session.write_checkpoint(&checkpoint, cluster::owners(cluster));
+        self.keep(written);
+    }
+}
+
+/// What a stage did, in a sentence; the cloud has so many Gaussians.
+fn stage_sentence(record: &StageRecord, gaussians: usize) -> String {
+    let StageRecord { kind, fitness_before, fitness_after, changed, renders, .. } = *record;
+    let all = thousands(gaussians);
+    let is_kept = changed > 0;
+    match (kind, record.guard_psnr) {
+        (StageKind::Renewal, Some([before, after])) if is_kept => {
+            // A Gaussian that is replaced makes room for one of a pair.
+            let replaced = thousands(changed / 2);
+            format!("evolution: replaced {replaced} of {all} Gaussians, guard PSNR {before:.2} -> {after:.2} dB")
+        }
+        (StageKind::Renewal, _) => {
+            "evolution: took the last replacement of Gaussians back, since guard PSNR had fallen".into()
+        }
+        (StageKind::ExtraSteps, _) => format!("{} extra gradient steps", thousands(renders as usize)),
+        (StageKind::Averaging, _) if is_kept => "evolution: averaged the weights of the last iterations".into(),
+        (StageKind::Averaging, Some([before, after])) => format!(
+            "evolution: kept the last weights, since their average lags {:.2} dB behind on training photos",
+            before - after
+        ),
+        _ if is_kept => format!(
+            "evolution: changed {} of {all} Gaussians, loss {fitness_before:.4} -> {fitness_after:.4}",
+            thousands(changed)
+        ),
+        _ => "evolution: found nothing better, and changed nothing".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_stage_did_is_said_in_plain_words() {
+        let record = StageRecord {
+            kind: StageKind::Renewal,
+            iteration: 3500,
+            generations: 1,
+            renders: 12,
+            fitness_before: 0.014_72,
+            fitness_after: 0.014_27,
+            guard_psnr: Some([30.4, 31.31]),
+            changed: 8600,
+            population_bytes: 0,
+            seconds: 1.0,
+        };
+        assert_eq!(
+            stage_sentence(&record, 43_000),
+            "evolution: replaced 4,300 of 43,000 Gaussians, guard PSNR 30.40 -> 31.31 dB"
+        );
+        let nothing = StageRecord { changed: 0, ..record };
+        assert!(stage_sentence(&nothing, 43_000).contains("back"));
+        let lagging = StageRecord { kind: StageKind::Averaging, guard_psnr: Some([31.0, 29.75]), ..nothing };
+        assert!(stage_sentence(&lagging, 43_000).contains("lags 1.25 dB behind"));
+        let search = StageRecord { kind: StageKind::Paper, guard_psnr: None, ..record };
+        assert_eq!(
+            stage_sentence(&search, 43_000),
+            "evolution: changed 8,600 of 43,000 Gaussians, loss 0.0147 -> 0.0143"
+        );
+    }
+}

@@ -1,0 +1,384 @@
+//! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
+
+use std::cell::RefCell;
+use std::fs;
+use std::io::{self, BufReader, ErrorKind, Write};
+use std::ops::Range;
+use std::path::{Component, Path, PathBuf};
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat_core::{Gaussians, RowOwners, ScreenFilter, Sight};
+use genesplat_io::{PlyOptions, input, is_transforms, ply, shown, write_ply};
+use genesplat_train::Checkpoint;
+use genesplat_train::checkpoint::JointWriter;
+
+use super::lock::Lock;
+use super::metrics::Metrics;
+use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
+use crate::files::{
+    check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
+};
+use crate::output;
+use crate::scene::names_of_pictures;
+
+/// How a run's `config.toml` begins.
+const CONFIG_MARK: &str = "# All settings of a run of genesplat";
+
+/// Rows of a splat that are written at once.
+const SPLAT_ROWS: usize = 1 << 14;
+
+/// Who claims a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Caller {
+    /// Replaces no results, and goes on with an interrupted run when told to, on any device.
+    Train,
+    /// Goes on by itself, with settings that are the same, device included; leaves what is said to the experiment, which knows
+    /// whose results may be replaced.
+    Experiment,
+    /// Never goes on, and replaces an earlier demo.
+    Demo,
+}
+
+/// A folder that is claimed for one run: no other process writes to it until this is dropped.
+#[derive(Debug)]
+pub struct RunSession {
+    path: PathBuf,
+    caller: Caller,
+    resumes: bool,
+    /// False in all processes of a run but one.
+    writes: bool,
+    /// `None` until the run begins in a folder that was not there.
+    lock: RefCell<Option<Lock>>,
+    /// What `config.toml` holds, once the run has begun.
+    config: String,
+}
+
+impl RunSession {
+    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint, before anything slow is
+    /// done. What is in it stays as it is until [`Self::begin`].
+    pub fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
+        let check = if resumes { check_is_run } else { check_is_free };
+        check(path)?;
+        // A run that never begins makes no folder, and where there is none, there is nothing to keep others from.
+        let lock = path.is_dir().then(|| Lock::take(path)).transpose()?;
+        let shown = shown(path);
+        match (resumes, has_checkpoint(path)) {
+            (true, true) => check_writable(&path.join(CONFIG))?,
+            (true, false) if path.join(METRICS).exists() => bail!(
+                "the run in {shown} is finished, so there is nothing to resume; to train longer, start a run with more --iterations in \
+                 another folder"
+            ),
+            (true, false) => {
+                bail!("{shown} holds no checkpoint to go on from; start the run without --resume")
+            }
+            (false, true) if caller == Caller::Train => {
+                bail!("{shown} holds a run that was interrupted; add --resume to go on, or choose another --out")
+            }
+            (false, false) if caller == Caller::Train && path.join(METRICS).exists() => bail!(
+                "{shown} holds the results of a run, and would be written over; choose another --out, or remove that folder"
+            ),
+            (false, _) => {}
+        }
+        Ok(Self { path: path.to_owned(), caller, resumes, writes: true, lock: lock.into(), config: String::new() })
+    }
+
+    /// The folder of a run that another process writes.
+    pub fn follow(path: &Path, resumes: bool) -> Self {
+        let (caller, lock) = (Caller::Train, None.into());
+        Self { path: path.to_owned(), caller, resumes, writes: false, lock, config: String::new() }
+    }
+
+    /// The run begins: what an older one has left is removed, and the settings `config` are written.
+    pub fn begin(&mut self, config: &str) -> Result<()> {
+        let path = &self.path;
+        if self.lock.get_mut().is_none() {
+            *self.lock.get_mut() = Some(Lock::take(path)?);
+            ensure!(
+                !path.join(CONFIG).exists(),
+                "another genesplat has written to {} meanwhile; choose another --out",
+                shown(path)
+            );
+        }
+        // Before the new settings are there: results never stand beside settings that are not theirs.
+        if !self.resumes && path.join(CONFIG).exists() {
+            remove_results(path)?;
+        }
+        self.config = format!(
+            "{CONFIG_MARK} {}; --config repeats it.\n# What depends on the method is left out, unless it was set: docs/settings.md.\n{config}",
+            env!("CARGO_PKG_VERSION")
+        );
+        write_text(&path.join(CONFIG), &self.config)?;
+        let checkpoints = path.join("checkpoint");
+        [path, &checkpoints, &path.join(TEST)].into_iter().for_each(|folder| remove_leftovers(folder));
+        fs::create_dir_all(&checkpoints).map_err(|error| unwritable(&checkpoints, &error))
+    }
+
+    /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results without their
+    /// settings would be taken for something else's.
+    fn hold(&self) -> Result<()> {
+        let (path, config) = (&self.path, self.path.join(CONFIG));
+        match input::read_text(&config) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Ok(text) if text != self.config && !self.lock.borrow().as_ref().is_some_and(|lock| lock.is_of(path)) => {
+                bail!("{} was removed, and another run has begun there, so this one is not saved", shown(path))
+            }
+            _ => return Ok(()),
+        }
+        // What it has locked may be gone, and then another one is to be locked.
+        *self.lock.borrow_mut() = None;
+        *self.lock.borrow_mut() = Some(Lock::take(path)?);
+        write_text(&config, &self.config)?;
+        output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", shown(path)));
+        Ok(())
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(crate) fn caller(&self) -> Caller {
+        self.caller
+    }
+
+    /// Whether this process writes to the folder.
+    pub fn writes(&self) -> bool {
+        self.writes
+    }
+
+    /// Whether the run goes on from its checkpoint.
+    pub fn resumes(&self) -> bool {
+        self.resumes
+    }
+
+    /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
+    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter, owners: &dyn RowOwners) -> Result<()> {
+        let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
+        if cloud.filter_3d.is_some() {
+            self.write_splat(FUSED_CLOUD, &cloud.fused(), &options, owners)?;
+        }
+        self.write_splat(CLOUD, cloud, &options, owners)
+    }
+
+    fn write_splat(&self, name: &str, cloud: &Gaussians, options: &PlyOptions, owners: &dyn RowOwners) -> Result<()> {
+        self.write_together(name, |out| {
+            let mut out = JointWriter::new(out, owners);
+            let counts = out.counts(cloud.len())?;
+            out.bytes(&ply::header_bytes(counts.iter().sum(), cloud.filter_3d.is_some(), options));
+            out.rows(&counts, SPLAT_ROWS, |rows| ply::row_bytes(cloud, rows, options))?;
+            out.finish().map(drop)
+        })
+    }
+
+    /// Writes the cloud of a run under way beside its results; returns where it is.
+    pub(crate) fn write_snapshot(&self, iteration: u32, sight: &mut Sight<'_>) -> Result<PathBuf> {
+        self.hold()?;
+        let path = self.path.join(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
+        let options = PlyOptions { screen_filter: sight.settings().filter, ..PlyOptions::default() };
+        let cloud = sight.cloud()?;
+        write_ply(&path, &cloud, &options)?;
+        Ok(path)
+    }
+
+    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+        self.write_together(CHECKPOINT, |out| checkpoint.write_together(out, owners))
+    }
+
+    /// Writes a file whose rows all processes of the run own. They take part to its end even where it cannot be written.
+    fn write_together(&self, name: &str, fill: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<()> {
+        let mut has_begun = false;
+        let mut write = || {
+            self.hold()?;
+            write_file(&self.path.join(name), |out| {
+                has_begun = true;
+                fill(out)
+            })
+        };
+        let written = if self.writes { write() } else { Ok(()) };
+        if !has_begun {
+            fill(&mut io::sink())?;
+        }
+        written
+    }
+
+    /// Writes the page, then the figures: complete figures are the sign of a finished run.
+    pub(crate) fn write_results(&self, page: &str, metrics: &Metrics) -> Result<()> {
+        self.hold()?;
+        write_text(&self.path.join(REPORT), page)?;
+        write_json(&self.path.join(METRICS), metrics)
+    }
+
+    /// The run has come to its end: its checkpoint is not needed any more.
+    pub fn finish(&self) -> Result<()> {
+        remove_if_there(&self.path.join(CHECKPOINT))
+    }
+}
+
+/// Whether a run has been in `folder`.
+pub fn is_run(folder: &Path) -> bool {
+    input::read(&folder.join(CONFIG)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()))
+}
+
+pub(crate) fn is_part_of_run(path: &Path) -> bool {
+    let folder = path.parent().unwrap_or(path);
+    let is_render = folder.ends_with(TEST) && folder.parent().is_some_and(is_run);
+    let is_result = |file: &str| path.ancestors().skip(1).any(|folder| folder.join(file) == path && is_run(folder));
+    is_render || is_result(CONFIG) || RESULTS.into_iter().any(is_result)
+}
+
+/// Whether the run in `folder` can go on.
+pub fn has_checkpoint(folder: &Path) -> bool {
+    folder.join(CHECKPOINT).exists()
+}
+
+/// Removes what a run has left in `folder`, by name, and keeps its settings: whatever else is there is not ours.
+fn remove_results(folder: &Path) -> Result<()> {
+    // Their names are in the figures, which go first.
+    let pictures = pictures(folder).into_iter().map(|name| Path::new(TEST).join(name));
+    let files = RESULTS.into_iter().map(PathBuf::from).chain(pictures);
+    files.map(|file| folder.join(file)).try_for_each(|file| remove_if_there(&file))
+}
+
+/// The names of a run's pictures, as far as its figures are known.
+fn pictures(run: &Path) -> Vec<String> {
+    let Some(metrics) = Metrics::read(run) else { return Vec::new() };
+    let stays_below = |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    names_of_pictures(&metrics.test_photos()).into_iter().filter(stays_below).collect()
+}
+
+/// Of a checkpoint that is only looked at.
+pub fn no_rows(_: usize) -> Range<usize> {
+    0..0
+}
+
+/// Of the rows, of so many, those that `share` says.
+pub fn read_checkpoint(folder: &Path, share: &dyn Fn(usize) -> Range<usize>) -> Result<Checkpoint> {
+    let path = folder.join(CHECKPOINT);
+    let file = input::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
+    Checkpoint::read_share(BufReader::new(file), share).map_err(|error| anyhow!("{}: {error}", shown(&path)))
+}
+
+pub(crate) fn check_is_run(path: &Path) -> Result<()> {
+    let shown = shown(path);
+    ensure!(
+        path.join(CONFIG).exists(),
+        "{shown} is not the folder of a run: it has no config.toml; give one that train made"
+    );
+    Ok(())
+}
+
+/// Fails where `path` is no folder for a new run: it belongs to something else, or cannot be written to.
+fn check_is_free(path: &Path) -> Result<()> {
+    check_folder(path, CONFIG)?;
+    let (config, test) = (path.join(CONFIG), path.join(TEST));
+    ensure!(
+        !test.is_file(),
+        "{} is a file, and pictures need a folder of that name; choose another --out",
+        shown(test)
+    );
+    let foreign = match input::read(&config) {
+        Ok(text) => (!text.starts_with(CONFIG_MARK.as_bytes())).then_some(config),
+        Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
+        Err(error) => {
+            bail!("cannot read {}, which tells whose folder this is: {error}; choose another folder", shown(config))
+        }
+    };
+    let Some(file) = foreign else { return Ok(()) };
+    bail!("{} belongs to something else; choose another folder", shown(file))
+}
+
+/// What shows that a folder without settings of ours belongs to something else: results, or a scene.
+fn foreign_in(path: &Path) -> Option<PathBuf> {
+    // The checkpoint may be that of a run under way, of which the lock tells more.
+    let mut results = RESULTS.into_iter().filter(|&file| file != CHECKPOINT).map(|file| path.join(file));
+    if let Some(result) = results.find(|file| file.is_file()) {
+        return Some(result);
+    }
+    let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
+        "sparse" => path.is_dir(),
+        TEST => fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()),
+        name => is_transforms(name),
+    };
+    fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).find(is_foreign)
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_core::Alone;
+
+    use super::*;
+    use crate::LOG;
+
+    #[test]
+    fn a_claim_keeps_others_out_and_makes_no_folder() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        let claim = || RunSession::claim(&run, Caller::Train, false);
+        let (mut first, mut second) = (claim().unwrap(), claim().unwrap());
+        assert!(!run.exists());
+        first.begin("").unwrap();
+        for refused in [second.begin("").unwrap_err(), claim().unwrap_err()] {
+            assert!(refused.to_string().contains("another genesplat is writing to"), "{refused}");
+        }
+        // One that is done before the other begins: its results were not there to be kept.
+        drop((first, second));
+        let late = RunSession {
+            path: run.clone(),
+            caller: Caller::Train,
+            resumes: false,
+            writes: true,
+            lock: None.into(),
+            config: String::new(),
+        };
+        let refused = { late }.begin("").unwrap_err().to_string();
+        assert!(refused.contains("has written to"), "{refused}");
+        claim().unwrap().begin("").unwrap();
+    }
+
+    /// A demo replaces an earlier one; `train` replaces no results.
+    #[test]
+    fn what_is_replaced_is_removed_by_name() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        RunSession::claim(&run, Caller::Demo, false).unwrap().begin("").unwrap();
+        fs::create_dir(run.join(TEST)).unwrap();
+        let view = |name| serde_json::json!({"name": name, "psnr": 9.0, "ssim": 0.5});
+        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [view("a.jpg"), view("../b.jpg")]});
+        let metrics = serde_json::json!({"iterations": 3, "gaussians": 20, "test": scores, "train": scores,
+            "seconds": {"gradient": 1.0, "evolution": 0.0}});
+        fs::write(run.join(METRICS), metrics.to_string()).unwrap();
+        let (ours, others) = ([CLOUD, LOG, "test/a.png"], ["test/mine.png", "b.png"]);
+        ours.iter().chain(&others).for_each(|name| fs::write(run.join(name), "x").unwrap());
+
+        let refused = RunSession::claim(&run, Caller::Train, false).unwrap_err().to_string();
+        assert!(refused.contains("holds the results of a run"), "{refused}");
+        RunSession::claim(&run, Caller::Demo, false).unwrap().begin("").unwrap();
+        assert!(ours.iter().chain(&[METRICS]).all(|name| !run.join(name).exists()));
+        assert!(others.iter().all(|name| run.join(name).exists()));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_was_removed_is_made_anew_and_one_that_is_another_run_s_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        let claim = || RunSession::claim(&run, Caller::Train, false).unwrap();
+        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic, &Alone);
+        let mut session = claim();
+        session.begin("one = 1").unwrap();
+        fs::remove_dir_all(&run).unwrap();
+        save(&session).unwrap();
+        fs::write(run.join(CONFIG), format!("{CONFIG_MARK}; edited by its owner")).unwrap();
+        save(&session).unwrap();
+        assert!(is_run(&run) && run.join(CLOUD).exists());
+        assert!(RunSession::claim(&run, Caller::Train, false).is_err(), "it is locked again");
+
+        fs::remove_dir_all(&run).unwrap();
+        let mut other = claim();
+        other.begin("two = 2").unwrap();
+        assert!(save(&session).unwrap_err().to_string().contains("another run has begun there"));
+        drop(other);
+        assert!(save(&session).unwrap_err().to_string().contains("another run has begun there"));
+        assert!(!run.join(CLOUD).exists());
+    }
+}

@@ -1,0 +1,187 @@
+//! Finished splats, from a file or from the folder of a run.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail, ensure};
+use genesplat_core::{Gaussians, RenderSettings, ScreenFilter};
+use genesplat_io::format::{self, Format, Loaded};
+use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, command_line, list_scene, shown};
+use genesplat_train::Background;
+
+use crate::output;
+use crate::scene;
+use crate::session::has_checkpoint;
+use crate::settings::{ConfigFile, Dataset, PhotosAsked};
+use crate::{CLOUD, CONFIG};
+
+/// A cloud and how it is meant to be shown.
+pub struct Splat {
+    /// The Gaussians; all values are finite, unless it was opened unchecked.
+    pub cloud: Gaussians,
+    /// How it is rendered.
+    pub settings: RenderSettings,
+    /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
+    trained_on: Option<Dataset>,
+}
+
+impl Splat {
+    /// The same, on another background where one is asked for.
+    pub fn on(mut self, asked: Option<Background>) -> Self {
+        let asked = asked.map(Background::fixed_colour);
+        self.settings.background = asked.unwrap_or(self.settings.background);
+        self
+    }
+
+    /// The folder of the scene: the one that is `given`, else that of the run.
+    pub fn scene_path(&self, given: Option<&Path>) -> Result<PathBuf> {
+        let of_run = self.trained_on.as_ref().map(|dataset| &*dataset.path);
+        match (given, of_run) {
+            (Some(given), _) => Ok(given.to_owned()),
+            (None, Some(of_run)) if of_run.exists() => Ok(of_run.to_owned()),
+            (None, Some(of_run)) => bail!("the scene of the run, {}, is not there; give --data SCENE", shown(of_run)),
+            (None, None) => bail!("a file does not say which scene it shows; give --data SCENE"),
+        }
+    }
+
+    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise.
+    ///
+    /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
+    pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
+        let (dataset, divisor) = self.dataset(data, asked)?;
+        scene::load_to_look(&dataset, divisor, self.settings.background)
+    }
+
+    /// The name of the view in `data` that is called `name`.
+    pub fn view_name(&self, name: &str, data: &Path, asked: &PhotosAsked) -> Result<String> {
+        let options = LoadOptions { with_points: false, ..self.dataset(data, asked)?.0.options() };
+        Ok(list_scene(data, &options)?.view_name(name, data)?.to_owned())
+    }
+
+    /// What masks of those photos mean.
+    pub fn mask(&self, data: &Path, asked: &PhotosAsked) -> Result<MaskUse> {
+        Ok(self.dataset(data, asked)?.0.mask)
+    }
+
+    /// The photos in `data`, and what their sides are divided by.
+    fn dataset(&self, data: &Path, asked: &PhotosAsked) -> Result<(Dataset, u32)> {
+        let mut dataset = self.trained_on.clone().unwrap_or_default();
+        let trained_size = (dataset.max_side, dataset.downscale);
+        asked.override_dataset(&mut dataset);
+        dataset.path = data.to_owned();
+        let mut divisor = 1;
+        if let (Some(_), Some(asked)) = (&self.trained_on, asked.downscale) {
+            (dataset.max_side, dataset.downscale) = trained_size;
+            divisor = asked;
+        }
+        Ok((dataset, divisor))
+    }
+
+    /// The scene in `data`; where none is named, that of the run, if it is still where it was.
+    pub fn find_scene(&self, data: Option<&Path>, asked: &PhotosAsked) -> Result<Option<Scene>> {
+        if let Some(data) = data {
+            return self.load_scene(data, asked).map(Some);
+        }
+        let of_run = self.trained_on.as_ref().map(|dataset| dataset.path.as_path());
+        let Some(data) = of_run else { return Ok(None) };
+        if !data.is_dir() {
+            output::tell(&format!(
+                "notice: the page has no photos and cameras, since the scene of the run, {}, is not there; give --data SCENE",
+                shown(data)
+            ));
+            return Ok(None);
+        }
+        match self.load_scene(data, asked) {
+            Ok(scene) => Ok(Some(scene)),
+            Err(error) => {
+                output::tell(&format!("notice: the page has no photos and cameras, since {error}"));
+                Ok(None)
+            }
+        }
+    }
+}
+
+type Read = fn(&Path) -> Result<Loaded, FormatError>;
+
+/// Opens a splat in a file, or that of the run in a folder.
+pub fn open(path: &Path) -> Result<Splat> {
+    open_by(format::read, path)
+}
+
+/// The same with Gaussians that [`open`] refuses, for who leaves them out.
+pub fn open_unchecked(path: &Path) -> Result<Splat> {
+    open_by(format::read_unchecked, path)
+}
+
+fn open_by(read: Read, path: &Path) -> Result<Splat> {
+    ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
+    if path.is_dir() { open_run(read, path) } else { open_file(read, path) }
+}
+
+fn open_run(read: Read, folder: &Path) -> Result<Splat> {
+    let config = ConfigFile::of_run(folder)?;
+    check_has_cloud(folder, &config)?;
+    let settings = config.train.resolve()?.render_settings();
+    let cloud = read_cloud(read, &folder.join(CLOUD))?.cloud;
+    Ok(Splat { cloud, settings, trained_on: Some(config.dataset) })
+}
+
+/// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
+fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
+    let [dataset, out, saved] = [&config.dataset.path, folder, &folder.join(CONFIG)].map(shown);
+    let words = ["genesplat", "train", &dataset, "--out", &out];
+    let (more, what): (&[&str], _) = match has_checkpoint(folder) {
+        true => (&["--resume"], "goes on with it"),
+        false => (&["--config", &saved], "begins it anew"),
+    };
+    ensure!(
+        folder.join(CLOUD).exists(),
+        "the run in {out} is unfinished and has no splat yet; {} {what}",
+        command_line(words.into_iter().chain(more.iter().copied()))
+    );
+    Ok(())
+}
+
+fn open_file(read: Read, path: &Path) -> Result<Splat> {
+    let loaded = read_cloud(read, path)?;
+    let declared = loaded.screen_filter.unwrap_or_default();
+    let filter = if loaded.cloud.filter_3d.is_some() { ScreenFilter::Mip } else { declared };
+    let settings = RenderSettings { sh_degree: loaded.sh_degree, filter, ..RenderSettings::default() };
+    Ok(Splat { cloud: loaded.cloud, settings, trained_on: None })
+}
+
+fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {
+    let loaded = read(path)?;
+    let is_empty = loaded.cloud.is_empty();
+    ensure!(!is_empty, "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
+    if loaded.is_2dgs {
+        output::tell(&format!(
+            "notice: the Gaussians of {} are flat (2DGS, without scale_2); here they are 1e-6 world units thick",
+            shown(path)
+        ));
+    }
+    Ok(loaded)
+}
+
+/// What the format has no place for.
+pub fn tell_losses(format: Format, cloud: &Gaussians, filter: ScreenFilter) {
+    let ending = format.ending();
+    if format == Format::Splat && cloud.sh_degree_in_use() > 0 {
+        output::tell(&format!("notice: {ending} holds no view-dependent colour, so highlights are lost"));
+    }
+    if format != Format::Ply && cloud.filter_3d.is_some() {
+        output::tell(&format!(
+            "notice: {ending} holds no 3D filter; it is baked in, and the file can be shown but not refined"
+        ));
+    }
+    let is_exact = match format {
+        Format::Ply | Format::CompressedPly => true,
+        // One mark for both kinds of compensated opacity.
+        Format::Spz | Format::Sog => filter != ScreenFilter::Mip,
+        Format::Splat | Format::Glb => false,
+    };
+    if filter != ScreenFilter::Classic && !is_exact {
+        output::tell(&format!(
+            "notice: {ending} does not say how this splat is antialiased, so viewers show small Gaussians a little larger"
+        ));
+    }
+}

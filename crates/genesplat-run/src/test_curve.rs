@@ -1,0 +1,37 @@
+//! PSNR of the test photos while training goes on, for the curve in `report.html`.
+//!
+//! Training does not see the scores, and the time is billed to neither gradients nor evolution.
+
+use anyhow::Result;
+use genesplat_core::{Sight, View};
+use genesplat_metrics::psnr_under;
+
+const POINTS: u32 = 12;
+
+pub(crate) struct TestCurve<'a> {
+    views: &'a [View],
+    every: u32,
+}
+
+impl<'a> TestCurve<'a> {
+    /// For a run of `iterations`; `None` where no photo was held out.
+    pub(crate) fn new(views: &'a [View], iterations: u32) -> Option<Self> {
+        let every = iterations.div_ceil(POINTS).max(1);
+        (!views.is_empty()).then_some(Self { views, every })
+    }
+
+    pub(crate) fn is_due(&self, iteration: u32) -> bool {
+        iteration.is_multiple_of(self.every)
+    }
+
+    /// Mean PSNR, dB; `None` when a photo is reproduced exactly.
+    pub(crate) fn score(&self, sight: &mut Sight<'_>) -> Result<Option<f64>> {
+        let mut sum = 0.0;
+        for view in self.views {
+            let picture = sight.render(&view.camera)?.to_photo();
+            sum += psnr_under(view.mask.as_deref(), &picture, &*view.photo.read()?)?;
+        }
+        let mean = sum / self.views.len() as f64;
+        Ok(mean.is_finite().then_some(mean))
+    }
+}

@@ -1,0 +1,243 @@
+//! One run: from a loaded scene to a finished folder.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::Result;
+use genesplat_core::View;
+use genesplat_io::{Scene, command_line, shown};
+use genesplat_metrics::{Evaluation, Lpips};
+use genesplat_train::scene::initialise::scene_extent;
+use genesplat_train::{Checkpoint, Outcome, RunSummary, Start, train};
+use genesplat_viewer::{LiveView, Phase};
+
+use super::log::Log;
+use super::metrics::{Metrics, PhaseSeconds};
+use super::session::{Caller, RunSession, read_checkpoint};
+use super::tensorboard::TensorBoard;
+use super::test_curve::TestCurve;
+use super::{CONFIG, LOG, TEST, failure, memory, photos};
+use crate::cluster::Cluster;
+use crate::device::Device;
+use crate::output;
+use crate::output::Bar;
+use crate::report::curves::Curves;
+use crate::report::run::RunPage;
+use crate::reporter::Reporter;
+use crate::score::evaluate_until;
+use crate::settings::Settings;
+use crate::{cluster, device, live, overwrite, scene};
+
+/// A run that is about to begin.
+pub struct Run<'a> {
+    /// All settings, resolved.
+    pub settings: &'a Settings,
+    /// What it is trained on.
+    pub scene: &'a Scene,
+    /// What LPIPS is measured with, if it is.
+    pub lpips: Option<&'a Lpips>,
+    /// Set by Ctrl-C and SIGTERM.
+    pub stop: &'a AtomicBool,
+    /// Where a page shows the run while it trains.
+    pub page: Option<SocketAddr>,
+    /// Whether TensorBoard gets the curves.
+    pub tensorboard: bool,
+    /// The processes of the run, if there are several.
+    pub cluster: Option<&'a Cluster>,
+    /// When its work began: loading counts.
+    pub began: Instant,
+}
+
+/// How a run ended.
+pub enum Ended {
+    /// As it was meant to; its folder is complete. What `metrics.json` says.
+    Whole(Metrics),
+    /// Training was stopped; the figures are those of what there was.
+    Stopped(Metrics),
+    /// Training came to its end, and scoring was stopped: the splat is whole, and there are no figures yet.
+    Unscored,
+    /// It was stopped before its first step, and its folder is as it was.
+    NotBegun,
+}
+
+impl Run<'_> {
+    /// Trains, saves, scores. What would end a run before its first step is found before an earlier one is replaced.
+    pub fn execute(&self, session: &mut RunSession) -> Result<Ended> {
+        let mut device = cluster::agree(self.cluster, self.check(session))?;
+        if !session.resumes() && self.stop.load(Ordering::Relaxed) {
+            return Ok(Ended::NotBegun);
+        }
+        let live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
+        let load = self.began.elapsed().as_secs_f64();
+        let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
+        let start = checkpoint.map_or_else(
+            || Start::Points(scene::points(self.scene)),
+            |checkpoint| Start::Checkpoint(Box::new(checkpoint)),
+        );
+        let ended = self.train(session, &mut device, start, log, live, load);
+        ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
+    }
+
+    fn check(&self, session: &RunSession) -> Result<Device> {
+        overwrite::check_photos(self.scene, &session.path().join(TEST))?;
+        if session.resumes() {
+            photos::check(session.path(), self.scene)?;
+        }
+        let config = self.settings.schedule.config();
+        if config.extent.is_none() {
+            scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
+        }
+        self.cluster.map_or_else(|| device::open(self.settings.device), |cluster| Ok(cluster.backend()))
+    }
+
+    /// The folder is ready; its log, for who writes it, and what a run goes on from.
+    fn begin(&self, session: &mut RunSession) -> Result<(Option<Log>, Option<Checkpoint>)> {
+        memory::forget_peak();
+        let log = if session.writes() { Some(self.open_log(session)?) } else { None };
+        let share = |rows| self.cluster.map_or(0..rows, |cluster| cluster.share(rows));
+        let checkpoint = session.resumes().then(|| read_checkpoint(session.path(), &share)).transpose()?;
+        Ok((log, checkpoint))
+    }
+
+    fn open_log(&self, session: &mut RunSession) -> Result<Log> {
+        session.begin(&self.settings.to_toml())?;
+        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
+        Ok(Log::open(session.path(), session.resumes())?.with_curves(curves))
+    }
+
+    fn train(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        start: Start,
+        log: Option<Log>,
+        mut live: Option<LiveView>,
+        load: f64,
+    ) -> Result<Ended> {
+        let seconds_before = match &start {
+            Start::Checkpoint(saved) => saved.progress.seconds.gradient + saved.progress.seconds.evolution,
+            _ => 0.0,
+        };
+        let Self { settings, scene, stop, .. } = *self;
+        let schedule = &settings.schedule;
+        let curve = TestCurve::new(&scene.test, schedule.iterations);
+        let asked = self.cluster.map_or(stop, Cluster::asked);
+        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_mut(), asked);
+        let Outcome { cloud, summary, checkpoint } =
+            train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
+        // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
+        let owners = cluster::owners(self.cluster);
+        let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(&saved, owners));
+        session.write_cloud(&cloud, schedule.render_settings().filter, owners)?;
+        saved?;
+        drop(cloud);
+        reporter.into_result()?;
+        if let Some(live) = &mut live {
+            live.set_phase(Phase::Scoring);
+        }
+        self.conclude(session, device, summary, load, seconds_before)
+    }
+
+    /// Scores the splat, which is saved already, and writes the figures.
+    fn conclude(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        summary: RunSummary,
+        load: f64,
+        seconds_before: f64,
+    ) -> Result<Ended> {
+        let clock = Instant::now();
+        let Some((test, train)) = self.score(session, device, &summary)? else {
+            // What was saved on the way would have to be trained to the end once more.
+            let checkpoint = summary.checkpoint_at_end(device.as_mut())?;
+            session.write_checkpoint(&checkpoint, cluster::owners(self.cluster))?;
+            return Ok(Ended::Unscored);
+        };
+        let seconds = PhaseSeconds {
+            load,
+            gradient: summary.seconds.gradient,
+            evolution: summary.seconds.evolution,
+            evaluate: clock.elapsed().as_secs_f64(),
+            total: seconds_before + self.began.elapsed().as_secs_f64(),
+        };
+        let is_interrupted = summary.interrupted;
+        let metrics = self.metrics(summary, (test, train), seconds);
+        if session.writes() {
+            self.write_results(session, &metrics, is_interrupted)?;
+        }
+        if is_interrupted {
+            return Ok(Ended::Stopped(metrics));
+        }
+        if session.writes() {
+            session.finish()?;
+        }
+        Ok(Ended::Whole(metrics))
+    }
+
+    fn metrics(&self, summary: RunSummary, (test, train): (Evaluation, Evaluation), seconds: PhaseSeconds) -> Metrics {
+        let config = self.settings.schedule.config();
+        Metrics {
+            schema: 1,
+            dataset: self.scene.name.clone(),
+            variant: config.variant,
+            evolve: config.evolution.mode,
+            seed: config.seed,
+            iterations: summary.iterations,
+            gaussians: summary.gaussians,
+            test,
+            train,
+            seconds,
+            peak_memory_bytes: memory::peak_bytes(),
+            evolution: summary.stages,
+        }
+    }
+
+    /// The page and the figures, and a notice where the run has learnt its photos by heart.
+    fn write_results(&self, session: &RunSession, metrics: &Metrics, is_interrupted: bool) -> Result<()> {
+        let mut curves = Curves::read(&session.path().join(LOG))?;
+        // A run that was stopped may have just seen an opacity reset.
+        let overfitting = curves.notice_of_overfitting(metrics).filter(|_| !is_interrupted);
+        if let Some(notice) = overfitting {
+            if session.caller() == Caller::Train {
+                output::note(&format!("notice: {notice}"));
+            }
+            curves.notices.push(notice);
+        }
+        let page = self.report(session.path(), metrics, curves)?;
+        session.write_results(&page, metrics)
+    }
+
+    /// Scores of the test and training photos for the cloud that `device` holds; `None` where taking them was stopped.
+    fn score(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        summary: &RunSummary,
+    ) -> Result<Option<(Evaluation, Evaluation)>> {
+        // Who stops a run waits for it, so few figures are taken, which must not be stopped by what stopped the run.
+        let never = AtomicBool::new(false);
+        let (train, lpips, stop) = match summary.interrupted {
+            true => (&[][..], None, &never),
+            false => (&self.scene.train[..], self.lpips.filter(|_| session.writes()), self.stop),
+        };
+        let settings = self.settings.schedule.render_settings();
+        let pictures = session.path().join(TEST);
+        let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
+        let mut score = |views: &[View], folder: Option<&Path>| {
+            let bar = bar("scores", 0, views.len() as u64);
+            evaluate_until(stop, device, views, &settings, lpips, folder, bar)
+        };
+        let Some(test) = score(&self.scene.test, session.writes().then_some(&*pictures))? else { return Ok(None) };
+        Ok(score(train, None)?.map(|train| (test, train)))
+    }
+
+    fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
+        let (dataset, out, saved) = (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
+        let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
+        let (config, command) = (self.settings.to_toml(), command_line(words));
+        RunPage { metrics, curves, scene: self.scene, folder, config: &config, command: &command }.into_html()
+    }
+}
