@@ -289,7 +289,8 @@ mod tests {
     #[test]
     fn each_setting_out_of_range_is_named() {
         type Change = fn(&mut GeneticConfig);
-        let changes: [(Change, &str); 12] = [
+        let changes: [(Change, &str); 13] = [
+            (|c| c.views = 0, "views is 0, but must be at least 1"),
             (|c| c.population = 0, "population is 0, but must be at least 1"),
             (|c| c.tournament = 0, "tournament is 0, but must be between 1 and population"),
             (|c| c.tournament = 101, "tournament is 101, but must be between 1 and population"),

@@ -11,7 +11,7 @@ use crate::timeline::{Event, Timeline, VirtualSteps};
 const PHOTOS_OF_HALF: u32 = 16;
 
 /// The rate of the base colour, in rates of the view-dependent colour (3DGS).
-const REST_RATES: f32 = 20.0;
+const REST_RATES: f64 = 20.0;
 
 /// What a run is told.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,8 +69,8 @@ impl Schedule {
         let grown = |rate: f32| (f64::from(rate) * by_views) as f32;
         LearningRates {
             position: (position * extent * by_views) as f32,
-            sh_dc: grown(method.feature_rate),
-            sh_rest: grown(method.feature_rate / REST_RATES),
+            sh_dc: grown(method.feature_rate as f32),
+            sh_rest: grown((method.feature_rate / REST_RATES) as f32),
             opacity: grown(method.opacity_rate),
             scale: grown(method.scale_rate),
             rotation: grown(method.rotation_rate),

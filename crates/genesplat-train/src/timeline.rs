@@ -40,6 +40,9 @@ const AVERAGED: f64 = 0.4;
 /// The part of a run that [`STATES`] divides.
 const TWENTIETH: f64 = 0.05;
 
+/// Improved-GS: what recovers its opacity slowly is pruned so many iterations after a reset.
+pub(crate) const RECOVERY: u32 = 300;
+
 /// What is done in an iteration, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Event {
@@ -458,3 +461,6 @@ fn thousands(number: u32) -> String {
     let groups: Vec<&[u8]> = digits.as_bytes().rchunks(3).rev().collect();
     groups.into_iter().map(String::from_utf8_lossy).collect::<Vec<_>>().join(",")
 }
+
+#[cfg(test)]
+mod tests;

@@ -131,11 +131,7 @@ pub(crate) fn distinct_bytes<'a>(genomes: impl Iterator<Item = &'a Arc<Genome>>)
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::Genes;
-
     use super::*;
-    use crate::config::Magnitude;
-    use crate::individual::Mutations;
 
     #[test]
     fn the_plan_keeps_elites_and_parents_and_no_one_else() {

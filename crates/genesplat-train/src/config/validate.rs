@@ -80,7 +80,7 @@ impl TrainConfig {
         let numbers: [(&'static str, f64, Range); 14] = [
             ("method.position_rate_start", method.position_rate_start, POSITIVE),
             ("method.position_rate_end", method.position_rate_end, POSITIVE),
-            ("method.feature_rate", method.feature_rate.into(), NOT_NEGATIVE),
+            ("method.feature_rate", method.feature_rate, NOT_NEGATIVE),
             ("method.opacity_rate", method.opacity_rate.into(), NOT_NEGATIVE),
             ("method.scale_rate", method.scale_rate.into(), NOT_NEGATIVE),
             ("method.rotation_rate", method.rotation_rate.into(), NOT_NEGATIVE),

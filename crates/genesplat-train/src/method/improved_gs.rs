@@ -15,7 +15,7 @@ use crate::config::TrainConfig;
 use crate::density::{Plan, selection};
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
-use crate::timeline::{Growth, Length, Recovery, Timeline};
+use crate::timeline::{Growth, Length, RECOVERY, Recovery, Timeline};
 
 /// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
 pub(super) const CAP: usize = 1_000_000;
@@ -28,9 +28,6 @@ const POWER: f64 = 0.5;
 
 /// Views that have a say in a densification.
 pub(super) const SCORE_VIEWS: usize = 10;
-
-/// What recovers its opacity slowly is pruned so many iterations after a reset.
-const RECOVERY: u32 = 300;
 
 /// Such pruning comes before this iteration only.
 const SLOW_UNTIL: u32 = 9000;
@@ -110,9 +107,10 @@ impl Method for ImprovedGs {
 
 /// Its density control and resets.
 pub(super) fn timeline(config: &TrainConfig, length: Length) -> Timeline {
-    let timeline = Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
-    let recovery = Recovery { after: length.interval(RECOVERY), until: length.scaled(SLOW_UNTIL) };
-    Timeline { growth: Growth::Ramp { full: FULL, power: POWER }, recovery: Some(recovery), ..timeline }
+    let mut timeline = Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
+    timeline.growth = Growth::Ramp { full: FULL, power: POWER };
+    timeline.recovery = Some(Recovery { after: length.interval(RECOVERY), until: length.scaled(SLOW_UNTIL) });
+    timeline
 }
 
 /// Splits and prunes; in the densification after one that pruned what was slow, as many as `most_views` views have a

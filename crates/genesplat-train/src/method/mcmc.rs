@@ -65,8 +65,9 @@ impl Method for Mcmc {
 
     fn timeline(&self, config: &TrainConfig) -> Timeline {
         let length = Length::of(config);
-        let timeline = Timeline::of_3dgs(config, length, config.method.densify_until);
-        Timeline { loses_steps: false, ..timeline }.with_averaging(config, length)
+        let mut timeline = Timeline::of_3dgs(config, length, config.method.densify_until);
+        timeline.loses_steps = false;
+        timeline.with_averaging(config, length)
     }
 
     fn density_signal(&self, _extent: f64) -> Option<DensitySignal> {

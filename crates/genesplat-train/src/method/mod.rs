@@ -14,7 +14,7 @@ use crate::config::TrainConfig;
 use crate::density::Plan;
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
-use crate::timeline::{Length, Timeline};
+use crate::timeline::Timeline;
 
 mod genesplat;
 mod improved_gs;

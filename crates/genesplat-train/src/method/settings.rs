@@ -27,8 +27,8 @@ macro_rules! settings {
 
         impl Named {
             /// The names of what is there.
-            fn names(&self) -> impl Iterator<Item = &'static str> {
-                [$(self.$field.is_some().then_some(stringify!($field))),+].into_iter().flatten()
+            fn names(&self) -> Vec<&'static str> {
+                [$(self.$field.is_some().then_some(stringify!($field))),+].into_iter().flatten().collect()
             }
 
             fn over(self, defaults: MethodConfig) -> MethodConfig {
@@ -52,7 +52,7 @@ settings! {
     /// `genesplat` over the run.
     position_rate_end: f64,
     /// Rate of the base colour; that of the view-dependent colour is a twentieth of it. Not negative.
-    feature_rate: f32,
+    feature_rate: f64,
     /// Rate of the opacity logits; not negative.
     opacity_rate: f32,
     /// Rate of the log-scales; not negative.
@@ -130,7 +130,7 @@ impl<'de> Deserialize<'de> for MethodConfig {
         };
         let name = named.name.unwrap_or_default();
         let own = name.method().own_settings();
-        match named.names().find(|setting| !own.contains(setting)) {
+        match named.names().into_iter().find(|setting| !own.contains(setting)) {
             Some(setting) => Err(Error::custom(not_its_own(name, setting))),
             None => Ok(named.over(Self::of(name))),
         }

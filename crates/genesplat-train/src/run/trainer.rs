@@ -50,7 +50,7 @@ impl<'a> Run<'a> {
     }
 
     pub(crate) fn config(&self) -> &'a TrainConfig {
-        self.run.schedule.config()
+        self.schedule.config()
     }
 }
 

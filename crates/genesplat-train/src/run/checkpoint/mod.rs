@@ -155,7 +155,7 @@ impl Checkpoint {
         if self.progress.sh_degree_start > SH_DEGREE_MAX {
             return Err(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"));
         }
-        let DeviceState { cloud, moments, statistics, mean } = &self.state;
+        let DeviceState { cloud, moments, statistics, mean, .. } = &self.state;
         let n = cloud.len();
         let genes = [statistics.gene_gradient_sum.len(), statistics.gene_views.len()];
         let consistent = cloud.is_consistent()
@@ -217,6 +217,7 @@ mod tests {
                     gene_views: vec![7, 8, 9],
                 },
                 mean: StateMean::new(4, Gaussians::zeros(3)),
+                snapshot: None,
             },
             virtual_pictures: (0..2).map(|_| Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() })).collect(),
         }
