@@ -6,6 +6,16 @@ pub const GENES: usize = 7;
 /// One Gaussian's genes: `[x, y, z, ln sx, ln sy, ln sz, logit o]`.
 pub type Genes = [f32; GENES];
 
+/// The opacity logit among them.
+pub fn opacity_logit(genes: &Genes) -> f32 {
+    genes[6]
+}
+
+/// The log-scales among them.
+pub fn log_scales(&[_, _, _, x, y, z, _]: &Genes) -> [f32; 3] {
+    [x, y, z]
+}
+
 /// An individual as its difference from a shared base: the rows that differ and their new values.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseDelta {

@@ -35,8 +35,6 @@ pub enum Stream {
     Test = 13,
     /// Which Gaussians Improved-GS splits: (iteration, row, 0).
     SplitChoice = 14,
-    /// Which Gaussians a pair of parents may exchange: (generation, pair, draw / 4).
-    CrossoverSelection = 15,
     /// Rounding of the pictures of virtual views: (iteration, view, pixel).
     VirtualPicture = 16,
     /// Which virtual views are looked at again: (iteration, position, 0).

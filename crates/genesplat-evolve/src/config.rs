@@ -1,12 +1,15 @@
-//! The settings of the paper's genetic algorithm (its Table 1). Where the paper is silent, the doc of a setting says
+//! The settings of the paper's genetic search (its Table 1). Where the paper is silent, the doc of a setting says
 //! so.
 
 use serde::{Deserialize, Serialize};
 
-/// Settings of one search. [`PaperConfig::default`] is Table 1.
+/// Settings of one search. [`GeneticConfig::default`] is Table 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "snake_case")]
-pub struct PaperConfig {
+pub struct GeneticConfig {
+    /// Training views that fitness is measured on, spread evenly over the views in order of name, the same in all
+    /// searches of a run. Default 6; at least 1.
+    pub views: usize,
     /// K, generations bred after the initial population. Default 100; from 0. Time grows in proportion.
     pub generations: u32,
     /// P, individuals a generation. Default 100; from 1. Time grows in proportion; memory hardly does.
@@ -18,19 +21,12 @@ pub struct PaperConfig {
     /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly `round(fraction *
     /// N)`, and at least one. Default 0.10; above 0, up to 1.
     pub selection_fraction: f64,
-    /// How these are drawn. Default `uniform`; or `error`.
-    pub selected_by: SelectedBy,
-    /// Which Gaussians two parents may exchange. Default `all`, since section 3.1 defines crossover on whole parameter
-    /// vectors; or `selected`, the fraction above.
-    pub crossover_of: CrossoverOf,
     /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
     pub intensity: f64,
     /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1.
     pub initial_mutation_rate: f64,
     /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
     pub mutation_rates: [f64; 3],
-    /// Which way the genes of the initial population move. Default `random`; or `downhill`.
-    pub initial_direction: InitialDirection,
     /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
     /// Default 0.85, 0.70, 0.50; each 0 to 1.
     pub crossover_rates: [f64; 3],
@@ -71,63 +67,24 @@ pub enum Magnitude {
     Unit,
 }
 
-/// How the Gaussians that a mutation may touch are drawn.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SelectedBy {
-    /// Every subset is equally likely.
-    #[default]
-    Uniform,
-    /// In proportion to the error that each Gaussian has a part in: its blending weights times the pixels' errors,
-    /// summed over a view, the largest of the fitness views. A Gaussian that would be drawn twice is drawn once, so there
-    /// may be fewer. (Future work of the paper.)
-    Error,
-}
-
-/// Which Gaussians two parents may exchange.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CrossoverOf {
-    /// All, as section 3.1 has it.
-    #[default]
-    All,
-    /// A selection, drawn for each pair as one for a mutation is, as Table 1 may be read: "percentage of Gaussians
-    /// subject to crossover and mutation".
-    Selected,
-}
-
-/// Which way the genes of the initial population move.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum InitialDirection {
-    /// Either way, by Eq. 4.
-    #[default]
-    Random,
-    /// As far, but against the sign of the accumulated gradient; a gene without one moves at random. (An informed
-    /// initial population: future work of the paper.)
-    Downhill,
-}
-
 impl Default for Crossover {
     fn default() -> Self {
         Self::Points { points: 100 }
     }
 }
 
-impl Default for PaperConfig {
+impl Default for GeneticConfig {
     fn default() -> Self {
         Self {
+            views: 6,
             generations: 100,
             population: 100,
             tournament: 10,
             elite_fraction: 0.10,
             selection_fraction: 0.10,
-            selected_by: SelectedBy::default(),
-            crossover_of: CrossoverOf::default(),
             intensity: 0.10,
             initial_mutation_rate: 0.03,
             mutation_rates: [0.15, 0.05, 0.02],
-            initial_direction: InitialDirection::default(),
             crossover_rates: [0.85, 0.70, 0.50],
             rate_breaks: [0.30, 0.70],
             crossover: Crossover::default(),
@@ -145,15 +102,10 @@ pub struct Rates {
     pub crossover: f64,
 }
 
-impl PaperConfig {
+impl GeneticConfig {
     /// True when a search needs [`crate::GeneGradients`].
     pub fn uses_gradients(&self) -> bool {
-        self.magnitude == Magnitude::Gradient || self.initial_direction == InitialDirection::Downhill
-    }
-
-    /// True when a search needs the errors that Gaussians have a part in.
-    pub fn uses_errors(&self) -> bool {
-        self.selected_by == SelectedBy::Error
+        self.magnitude == Magnitude::Gradient
     }
 
     /// E, individuals carried over unchanged.
@@ -185,6 +137,7 @@ impl PaperConfig {
 
     /// Checks every range; the first setting that is out of its range is named.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        check("views", self.views as f64, self.views >= 1, "at least 1")?;
         check("population", self.population, self.population >= 1, "at least 1")?;
         let fits = (1..=self.population).contains(&self.tournament);
         check("tournament", self.tournament, fits, "between 1 and population")?;
@@ -234,14 +187,11 @@ pub enum ConfigError {
         /// What it may be.
         allowed: &'static str,
     },
-    /// [`Magnitude::Gradient`] or [`InitialDirection::Downhill`] without gradients.
+    /// [`Magnitude::Gradient`] without gradients.
     #[error(
-        "no gene gradients were accumulated; set magnitude to \"unit\" and initial_direction to \"random\", which need none"
+        "no gene gradients were accumulated; set magnitude to \"unit\", which needs none"
     )]
     MissingGradients,
-    /// [`SelectedBy::Error`] without an error that is above 0 and finite, or with errors of another cloud.
-    #[error("no Gaussian can be drawn by its error; set selected_by to \"uniform\"")]
-    MissingErrors,
     /// Gradients of another cloud.
     #[error("there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}")]
     GradientRows {
@@ -286,7 +236,7 @@ mod tests {
 
     #[test]
     fn rates_change_exactly_at_the_breaks() {
-        let config = PaperConfig::default();
+        let config = GeneticConfig::default();
         let pieces: Vec<(u32, f64, f64)> = [0, 1, 30, 31, 70, 71, 100]
             .into_iter()
             .map(|generation| {
@@ -309,7 +259,7 @@ mod tests {
     #[test]
     fn every_multiple_of_ten_generations_is_split_30_40_30() {
         for tens in 1..=100u32 {
-            let config = PaperConfig { generations: 10 * tens, ..PaperConfig::default() };
+            let config = GeneticConfig { generations: 10 * tens, ..GeneticConfig::default() };
             let count = |rate: f64| (1..=10 * tens).filter(|&k| config.rates(k).mutation == rate).count() as u32;
             assert_eq!([count(0.15), count(0.05), count(0.02)], [3 * tens, 4 * tens, 3 * tens]);
         }
@@ -317,29 +267,30 @@ mod tests {
 
     #[test]
     fn table_1_is_valid_and_survives_toml() {
-        let config = PaperConfig::default();
+        let config = GeneticConfig::default();
         assert_eq!(config.validate(), Ok(()));
         assert_eq!((config.elites(), config.evaluations()), (10, 9100));
         let text = toml::to_string(&config).expect("plain values");
-        assert_eq!(toml::from_str::<PaperConfig>(&text), Ok(config));
-        let partial: PaperConfig = toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
+        assert_eq!(toml::from_str::<GeneticConfig>(&text), Ok(config));
+        let partial: GeneticConfig = toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
         assert_eq!((partial.crossover, partial.magnitude), (Crossover::Uniform, Magnitude::Unit));
-        assert!(toml::from_str::<PaperConfig>("tournaments = 3").is_err(), "unknown names are refused");
-        assert!(toml::from_str::<PaperConfig>("crossover = { kind = \"points\", cuts = 3 }").is_err());
+        assert!(toml::from_str::<GeneticConfig>("tournaments = 3").is_err(), "unknown names are refused");
+        assert!(toml::from_str::<GeneticConfig>("crossover = { kind = \"points\", cuts = 3 }").is_err());
     }
 
     #[test]
     fn at_least_one_gaussian_is_selected() {
-        let config = PaperConfig::default();
+        let config = GeneticConfig::default();
         assert_eq!([0, 1, 4, 14, 16, 1000].map(|n| config.selected(n)), [0, 1, 1, 1, 2, 100]);
-        let all = PaperConfig { selection_fraction: 1.0, ..config };
+        let all = GeneticConfig { selection_fraction: 1.0, ..config };
         assert_eq!(all.selected(7), 7);
     }
 
     #[test]
     fn each_setting_out_of_range_is_named() {
-        type Change = fn(&mut PaperConfig);
-        let changes: [(Change, &str); 12] = [
+        type Change = fn(&mut GeneticConfig);
+        let changes: [(Change, &str); 13] = [
+            (|c| c.views = 0, "views is 0, but must be at least 1"),
             (|c| c.population = 0, "population is 0, but must be at least 1"),
             (|c| c.tournament = 0, "tournament is 0, but must be between 1 and population"),
             (|c| c.tournament = 101, "tournament is 101, but must be between 1 and population"),
@@ -354,7 +305,7 @@ mod tests {
             (|c| c.crossover = Crossover::Points { points: 0 }, "crossover.points is 0, but must be at least 1"),
         ];
         for (change, sentence) in changes {
-            let mut config = PaperConfig::default();
+            let mut config = GeneticConfig::default();
             change(&mut config);
             assert_eq!(config.validate().map_err(|error| error.to_string()), Err(sentence.to_owned()));
         }

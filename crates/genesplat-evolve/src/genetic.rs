@@ -9,9 +9,10 @@ use std::sync::Arc;
 use genesplat_core::{Genes, Rng, SparseDelta};
 use rayon::prelude::*;
 
-use crate::config::{ConfigError, PaperConfig};
+use crate::config::{ConfigError, GeneticConfig};
 use crate::individual::Genome;
-use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, Signals, first_non_finite};
+use crate::operators::magnitude::GeneGradients;
+use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, first_non_finite};
 use crate::operators::survival::{LossStatistics, Ranking};
 use crate::population::consensus::Consensus;
 use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
@@ -19,7 +20,7 @@ use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes}
 /// A search over the genes of one base. Losses are minimised.
 #[derive(Debug)]
 pub struct GeneticAlgorithm {
-    config: PaperConfig,
+    config: GeneticConfig,
     breeder: Breeder,
     /// Generation of the brood; the last one when finished.
     generation: u32,
@@ -56,20 +57,20 @@ pub enum TellError {
 
 impl GeneticAlgorithm {
     /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be, is
-    /// `base_loss`. `signals` has what [`PaperConfig::uses_gradients`] and [`PaperConfig::uses_errors`] ask for. Give
-    /// each search its own `rng` ([`Rng::fork`]).
+    /// `base_loss`. [`GeneticConfig::uses_gradients`] says whether `gradients` are needed. Give each search its own `rng`
+    /// ([`Rng::fork`]).
     pub fn new(
-        config: PaperConfig,
+        config: GeneticConfig,
         base: Vec<Genes>,
-        signals: Signals,
+        gradients: Option<GeneGradients>,
         base_loss: f64,
         rng: Rng,
     ) -> Result<Self, ConfigError> {
         config.validate()?;
         check_base(&base, base_loss)?;
-        let mutation = Mutation::new(&config, &base, signals, rng)?;
-        let PaperConfig { crossover, crossover_of, .. } = config;
-        let breeder = Breeder { consensus: Consensus::new(base), mutation, crossover, crossover_of, rng };
+        let mutation = Mutation::new(&config, &base, gradients, rng)?;
+        let crossover = config.crossover;
+        let breeder = Breeder { consensus: Consensus::new(base), mutation, crossover, rng };
         let brood = Brood { count: config.population, pairs: Vec::new() };
         let (generation, elites, best, peak_bytes) = (0, Vec::new(), None, 0);
         let mut search = Self { config, breeder, generation, elites, brood, base_loss, best, peak_bytes };
@@ -155,7 +156,7 @@ impl GeneticAlgorithm {
     }
 
     /// The settings.
-    pub fn config(&self) -> &PaperConfig {
+    pub fn config(&self) -> &GeneticConfig {
         &self.config
     }
 

@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use genesplat_core::{Genes, Rng, SparseDelta};
-//! use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig, Signals};
+//! use genesplat_evolve::{GeneticAlgorithm, GeneticConfig, Magnitude};
 //!
 //! // Fifty Gaussians that would like all their genes to be zero.
 //! let base: Vec<Genes> = (0..50).map(|row| [1.0 + (row % 7) as f32; 7]).collect();
@@ -15,9 +15,9 @@
 //!     delta.rows.iter().zip(&delta.genes).for_each(|(&row, gene)| genes[row as usize] = *gene);
 //!     genes.as_flattened().iter().map(|&x| f64::from(x).powi(2)).sum::<f64>()
 //! };
-//! let config = PaperConfig { generations: 20, magnitude: Magnitude::Unit, ..PaperConfig::default() };
+//! let config = GeneticConfig { generations: 20, magnitude: Magnitude::Unit, ..GeneticConfig::default() };
 //! let base_loss = loss(&SparseDelta::default());
-//! let mut search = GeneticAlgorithm::new(config, base.clone(), Signals::default(), base_loss, Rng::new(7))?;
+//! let mut search = GeneticAlgorithm::new(config, base.clone(), None, base_loss, Rng::new(7))?;
 //! while !search.is_finished() {
 //!     let losses: Vec<f64> = (0..search.ask()).map(|index| loss(&search.delta(index))).collect();
 //!     search.tell(&losses)?;
@@ -32,7 +32,6 @@
 //! | [`genetic`], [`config`] | Algorithm 1, the settings of Table 1, and the rates of each generation |
 //! | [`population`], `individual` | how individuals are stored, what that costs, what a generation has in common |
 //! | `operators` | selection, crossover, mutation (Eq. 4), survival |
-//! | [`renewal`] | selection among the Gaussians of one cloud: which go, and which are split |
 //!
 //! Every random number is addressed by generation, individual and row, so neither threads nor the order of scoring can
 //! change a result; and a search is resumed by building it again and telling it the recorded losses.
@@ -42,10 +41,8 @@ pub mod genetic;
 mod individual;
 mod operators;
 pub mod population;
-pub mod renewal;
 
-pub use config::{ConfigError, Crossover, CrossoverOf, InitialDirection, Magnitude, PaperConfig, Rates, SelectedBy};
+pub use config::{ConfigError, Crossover, Magnitude, GeneticConfig, Rates};
 pub use genetic::{GeneticAlgorithm, TellError};
 pub use operators::magnitude::GeneGradients;
-pub use operators::mutation::Signals;
 pub use operators::survival::LossStatistics;

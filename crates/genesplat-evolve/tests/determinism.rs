@@ -5,11 +5,11 @@ mod common;
 
 use common::{normal_base, on_sphere, run, small, sphere};
 use genesplat_core::SparseDelta;
-use genesplat_evolve::{Crossover, PaperConfig};
+use genesplat_evolve::{Crossover, GeneticConfig};
 
 fn result(threads: usize, crossover: Crossover) -> (Option<SparseDelta>, f64) {
     let base = normal_base(500);
-    let config = PaperConfig { crossover, ..small(10, 30) };
+    let config = GeneticConfig { crossover, ..small(10, 30) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started");
     let search = pool.install(|| run(on_sphere(config, &base, 12), |delta| sphere(&base, delta)));
     (search.best().cloned(), search.best_loss())

@@ -7,15 +7,14 @@ mod common;
 use common::{applied, deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
 use genesplat_evolve::{
-    ConfigError, Crossover, CrossoverOf, GeneGradients, GeneticAlgorithm, InitialDirection, Magnitude, PaperConfig,
-    SelectedBy, Signals, TellError,
+    ConfigError, Crossover, GeneGradients, GeneticAlgorithm, GeneticConfig, Magnitude, TellError,
 };
 use proptest::prelude::*;
 
 #[test]
 fn a_search_asks_for_all_founders_and_then_for_all_but_the_elites() {
     let base = normal_base(40);
-    let mut search = on_sphere(PaperConfig { population: 25, generations: 3, ..small(3, 25) }, &base, 1);
+    let mut search = on_sphere(GeneticConfig { population: 25, generations: 3, ..small(3, 25) }, &base, 1);
     let mut asked = Vec::new();
     while !search.is_finished() {
         asked.push((search.generation(), search.ask()));
@@ -31,9 +30,9 @@ fn a_search_asks_for_all_founders_and_then_for_all_but_the_elites() {
 #[test]
 fn founders_differ_from_the_base_by_the_initial_rate() {
     let base = normal_base(1000);
-    let search = on_sphere(PaperConfig { initial_mutation_rate: 1.0, ..small(1, 10) }, &base, 5);
+    let search = on_sphere(GeneticConfig { initial_mutation_rate: 1.0, ..small(1, 10) }, &base, 5);
     assert!(deltas(&search, 0..10).iter().all(|delta| delta.rows.len() == 100), "10 % of 1000 Gaussians");
-    let search = on_sphere(PaperConfig { initial_mutation_rate: 0.0, ..small(1, 10) }, &base, 5);
+    let search = on_sphere(GeneticConfig { initial_mutation_rate: 0.0, ..small(1, 10) }, &base, 5);
     assert!(deltas(&search, 0..10).iter().all(SparseDelta::is_empty));
     assert_ne!(on_sphere(small(1, 10), &base, 5).delta(0), on_sphere(small(1, 10), &base, 6).delta(0));
 }
@@ -43,7 +42,7 @@ fn founders_differ_from_the_base_by_the_initial_rate() {
 #[test]
 fn children_descend_from_the_winners_of_tournaments() {
     let base = normal_base(300);
-    let config = PaperConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
+    let config = GeneticConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
     let mut search = on_sphere(config, &base, 2);
     let founders = deltas(&search, 0..12);
     let losses: Vec<f64> = (0..12).map(|index| if index == 7 { 0.1 } else { 1.0 }).collect();
@@ -56,10 +55,10 @@ fn children_descend_from_the_winners_of_tournaments() {
 fn siblings_share_their_parents_out() {
     let base = normal_base(150);
     for crossover in [Crossover::Points { points: 1 }, Crossover::default(), Crossover::Uniform] {
-        let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(1, 8) };
+        let rates = GeneticConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(1, 8) };
         // Every gene of every founder is its own.
-        let everywhere = PaperConfig { initial_mutation_rate: 1.0, selection_fraction: 1.0, ..rates };
-        let config = PaperConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
+        let everywhere = GeneticConfig { initial_mutation_rate: 1.0, selection_fraction: 1.0, ..rates };
+        let config = GeneticConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
         let mut search = on_sphere(config, &base, 3);
         let genomes =
             |search: &GeneticAlgorithm| deltas(search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
@@ -82,8 +81,8 @@ fn siblings_share_their_parents_out() {
 
 #[test]
 fn siblings_mutate_in_their_own_ways() {
-    let config = PaperConfig { mutation_rates: [1.0; 3], crossover_rates: [0.0; 3], ..small(1, 10) };
-    let mut search = on_sphere(PaperConfig { initial_mutation_rate: 0.0, ..config }, &normal_base(1000), 5);
+    let config = GeneticConfig { mutation_rates: [1.0; 3], crossover_rates: [0.0; 3], ..small(1, 10) };
+    let mut search = on_sphere(GeneticConfig { initial_mutation_rate: 0.0, ..config }, &normal_base(1000), 5);
     search.tell(&[1.0; 10]).expect("one loss each");
     assert_ne!(search.delta(0).rows, search.delta(1).rows);
 }
@@ -92,7 +91,7 @@ fn siblings_mutate_in_their_own_ways() {
 #[test]
 fn individuals_are_the_same_whatever_they_are_differences_from() {
     let base = normal_base(300);
-    let config = PaperConfig { tournament: 10, mutation_rates: [0.5; 3], ..small(12, 30) };
+    let config = GeneticConfig { tournament: 10, mutation_rates: [0.5; 3], ..small(12, 30) };
     let mut search = on_sphere(config, &base, 4);
     let mut cloud = base.clone();
     let (mut moves, mut from_base, mut from_consensus) = (0, 0, 0);
@@ -176,21 +175,16 @@ fn losses_that_are_not_finite_rank_last_and_never_win() {
 #[test]
 fn what_makes_no_sense_is_refused_with_a_sentence() {
     let base = normal_base(10);
-    let refused = |config: PaperConfig, base: &[Genes], gradients, loss| {
-        let signals = Signals { gradients, errors: None };
-        GeneticAlgorithm::new(config, base.to_vec(), signals, loss, Rng::new(1)).map(|_| ()).unwrap_err()
+    let refused = |config: GeneticConfig, base: &[Genes], gradients, loss| {
+        GeneticAlgorithm::new(config, base.to_vec(), gradients, loss, Rng::new(1)).map(|_| ()).unwrap_err()
     };
-    assert_eq!(refused(PaperConfig::default(), &base, None, 1.0), ConfigError::MissingGradients);
-    let downhill = PaperConfig { initial_direction: InitialDirection::Downhill, ..small(1, 10) };
-    assert_eq!(refused(downhill, &base, None, 1.0), ConfigError::MissingGradients);
-    let by_error = PaperConfig { selected_by: SelectedBy::Error, ..small(1, 10) };
-    assert_eq!(refused(by_error, &base, None, 1.0), ConfigError::MissingErrors);
+    assert_eq!(refused(GeneticConfig::default(), &base, None, 1.0), ConfigError::MissingGradients);
     let short = GeneGradients { sum: vec![[0.0; 7]; 2], views: vec![1] };
     let of_others = ConfigError::GradientRows { sums: 2, views: 1, base: 10 };
-    assert_eq!(refused(PaperConfig::default(), &base, Some(short), 1.0), of_others);
+    assert_eq!(refused(GeneticConfig::default(), &base, Some(short), 1.0), of_others);
     let mut bad = GeneGradients { sum: vec![[0.0; 7]; 10], views: vec![1; 10] };
     bad.sum[1][6] = f32::NAN;
-    assert_eq!(refused(PaperConfig::default(), &base, Some(bad), 1.0), ConfigError::GradientNotFinite { row: 1 });
+    assert_eq!(refused(GeneticConfig::default(), &base, Some(bad), 1.0), ConfigError::GradientNotFinite { row: 1 });
     assert!(matches!(refused(small(1, 10), &base, None, f64::NAN), ConfigError::BaseLossNotFinite { .. }));
     assert!(matches!(refused(small(1, 5), &base, None, 1.0), ConfigError::OutOfRange { setting: "tournament", .. }));
     let mut poisoned = base.clone();
@@ -211,7 +205,7 @@ fn small_and_empty_clouds_are_searched_too() {
     for n in 0..4 {
         let base = normal_base(n);
         for crossover in [Crossover::Points { points: 1 }, Crossover::default(), Crossover::Uniform] {
-            let config = PaperConfig { crossover, initial_mutation_rate: 1.0, ..small(3, 10) };
+            let config = GeneticConfig { crossover, initial_mutation_rate: 1.0, ..small(3, 10) };
             let search = run(on_sphere(config, &base, 1), |delta| sphere(&base, delta));
             assert!(search.best().is_none_or(|delta| delta.rows.len() <= n as usize));
             // One Gaussian has no standard deviation, so Eq. 4 cannot move it.
@@ -225,12 +219,12 @@ fn small_and_empty_clouds_are_searched_too() {
 #[test]
 fn evolution_descends_where_random_search_does_not() {
     let base = normal_base(200);
-    let evolving = PaperConfig { intensity: 0.5, mutation_rates: [0.3; 3], ..small(100, 100) };
-    let random = PaperConfig { generations: 0, population: evolving.evaluations() as u32, ..evolving.clone() };
-    let random = PaperConfig { initial_mutation_rate: 0.3, ..random };
+    let evolving = GeneticConfig { intensity: 0.5, mutation_rates: [0.3; 3], ..small(100, 100) };
+    let random = GeneticConfig { generations: 0, population: evolving.evaluations() as u32, ..evolving.clone() };
+    let random = GeneticConfig { initial_mutation_rate: 0.3, ..random };
     assert_eq!(random.evaluations(), evolving.evaluations());
     for seed in [1, 2, 3] {
-        let share = |config: &PaperConfig| {
+        let share = |config: &GeneticConfig| {
             let search = run(on_sphere(config.clone(), &base, seed), |delta| sphere(&base, delta));
             search.best_loss() / search.base_loss()
         };
@@ -239,58 +233,6 @@ fn evolution_descends_where_random_search_does_not() {
         assert!(evolved < 0.7, "evolution leaves {evolved} of the loss");
         assert!(guessed > 0.95, "random search leaves {guessed} of the loss");
     }
-}
-
-/// Where one Gaussian in ten matters, a search that draws these by their errors finds more than one that draws all alike.
-#[test]
-fn errors_direct_the_search_to_what_matters() {
-    let base = normal_base(200);
-    let loss = |delta: &SparseDelta| {
-        applied(&base, delta)[..20].as_flattened().iter().map(|&x| f64::from(x).powi(2)).sum::<f64>()
-    };
-    let errors: Vec<f32> = (0..200).map(|row| if row < 20 { 1.0 } else { 0.01 }).collect();
-    let evolved = |selected_by, seed| {
-        let config = PaperConfig { selected_by, intensity: 0.2, selection_fraction: 0.05, ..small(40, 40) };
-        let (signals, base_loss) =
-            (Signals { gradients: None, errors: Some(errors.clone()) }, loss(&SparseDelta::default()));
-        let search = GeneticAlgorithm::new(config, base.clone(), signals, base_loss, Rng::new(seed));
-        run(search.expect("valid settings"), loss).best_loss() / base_loss
-    };
-    for seed in [1, 2, 3] {
-        let (by_error, uniform) = (evolved(SelectedBy::Error, seed), evolved(SelectedBy::Uniform, seed));
-        println!("seed {seed}: by error {by_error:.3}, uniform {uniform:.3}");
-        assert!(by_error < uniform);
-    }
-}
-
-/// Every gene of the initial population goes against its gradient, and none of later generations has to.
-#[test]
-fn an_informed_initial_population_goes_downhill() {
-    let base = normal_base(100);
-    let sum = base.iter().map(|genes| genes.map(|x| 2.0 * x)).collect();
-    let signals = Signals { gradients: Some(GeneGradients { sum, views: vec![1; 100] }), errors: None };
-    let config = PaperConfig {
-        initial_direction: InitialDirection::Downhill,
-        initial_mutation_rate: 1.0,
-        selection_fraction: 1.0,
-        ..small(1, 10)
-    };
-    let mut search =
-        GeneticAlgorithm::new(config, base.clone(), signals, sphere(&base, &SparseDelta::default()), Rng::new(3))
-            .expect("valid settings");
-    let climbs = |search: &GeneticAlgorithm, index| {
-        let delta = search.delta(index);
-        let of_row = |(&row, genes): (&u32, &Genes)| {
-            let base = &base[row as usize];
-            genes.iter().zip(base).filter(|&(gene, from)| (gene - from) * from > 0.0).count()
-        };
-        delta.rows.iter().zip(&delta.genes).map(of_row).sum::<usize>()
-    };
-    assert!((0..search.ask()).all(|index| climbs(&search, index) == 0), "all 700 genes of each move, none uphill");
-    let losses: Vec<f64> = (0..search.ask()).map(|index| sphere(&base, &search.delta(index))).collect();
-    assert!(losses.iter().all(|&loss| loss < search.base_loss()));
-    search.tell(&losses).expect("one loss each");
-    assert!((0..search.ask()).any(|index| climbs(&search, index) > 0), "mutations go either way");
 }
 
 /// A function that only the Gaussians with strong gradients matter to: `u_i` must help there.
@@ -303,13 +245,12 @@ fn gradients_direct_the_search_to_what_matters() {
     };
     let gene = |row: usize| if matters(row) { base[row].map(|x| 2.0 * x) } else { [0.0; 7] };
     let gradients = GeneGradients { sum: (0..200).map(gene).collect(), views: vec![1; 200] };
-    let evolved = |config: PaperConfig, gradients, seed| {
+    let evolved = |config: GeneticConfig, gradients, seed| {
         let base_loss = loss(&SparseDelta::default());
-        let signals = Signals { gradients, errors: None };
-        let search = GeneticAlgorithm::new(config, base.clone(), signals, base_loss, Rng::new(seed));
+        let search = GeneticAlgorithm::new(config, base.clone(), gradients, base_loss, Rng::new(seed));
         run(search.expect("valid settings"), loss).best_loss() / base_loss
     };
-    let config = PaperConfig { magnitude: Magnitude::Gradient, intensity: 0.2, ..small(40, 40) };
+    let config = GeneticConfig { magnitude: Magnitude::Gradient, intensity: 0.2, ..small(40, 40) };
     // The same steps on average over all Gaussians, but blind: u = 1/2.
     let blind = GeneGradients { sum: vec![[0.0; 7]; 200], views: vec![1; 200] };
     for seed in [1, 2, 3] {
@@ -320,15 +261,14 @@ fn gradients_direct_the_search_to_what_matters() {
     }
 }
 
-fn any_config() -> impl Strategy<Value = PaperConfig> {
+fn any_config() -> impl Strategy<Value = GeneticConfig> {
     let crossover = prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;
     let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
-    let crossover_of = prop_oneof![Just(CrossoverOf::All), Just(CrossoverOf::Selected)];
-    (numbers, [fraction(), fraction(), fraction(), fraction()], crossover, crossover_of).prop_map(
-        |((generations, population, tournament, elites, selection, intensity), rates, crossover, crossover_of)| {
+    (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(
+        |((generations, population, tournament, elites, selection, intensity), rates, crossover)| {
             let [initial, mutation, pairs, rates_break] = rates;
-            PaperConfig {
+            GeneticConfig {
                 generations,
                 population,
                 tournament: 1 + (tournament * f64::from(population - 1)) as u32,
@@ -341,9 +281,8 @@ fn any_config() -> impl Strategy<Value = PaperConfig> {
                 crossover_rates: [pairs; 3],
                 rate_breaks: [rates_break / 2.0, rates_break],
                 crossover,
-                crossover_of,
                 magnitude: Magnitude::Unit,
-                ..PaperConfig::default()
+                ..GeneticConfig::default()
             }
         },
     )

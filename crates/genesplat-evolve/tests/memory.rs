@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use common::{deltas, normal_base, small};
 use genesplat_core::{Genes, Rng};
-use genesplat_evolve::{GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, Signals};
+use genesplat_evolve::{GeneGradients, GeneticAlgorithm, GeneticConfig, Magnitude};
 
 struct Counting;
 
@@ -57,12 +57,12 @@ fn a_hundred_individuals_over_a_million_gaussians() {
     let _alone = ALONE.lock();
     let n = 1_000_000usize;
     // Nearly seven times the paper's early rate, so that the few generations of this test hold what dozens of the paper's would.
-    let config = PaperConfig { generations: 4, mutation_rates: [1.0; 3], ..PaperConfig::default() };
+    let config = GeneticConfig { generations: 4, mutation_rates: [1.0; 3], ..GeneticConfig::default() };
     let (search, peak) = peak_of(|| {
         let base: Vec<Genes> = normal_base(1000).into_iter().cycle().take(n).collect();
         let gradients = GeneGradients { sum: base.clone(), views: vec![3; n] };
         let mut search =
-            GeneticAlgorithm::new(config, base, Signals { gradients: Some(gradients), errors: None }, 1.0, Rng::new(1))
+            GeneticAlgorithm::new(config, base, Some(gradients), 1.0, Rng::new(1))
                 .expect("valid settings");
         while !search.is_finished() {
             // Later generations are better, so that none descends from an elite; only a few individuals are looked at.
@@ -95,11 +95,11 @@ fn dummy(generation: u32, index: usize) -> f64 {
 fn a_whole_search_of_the_paper_stays_below_600_bytes_a_gaussian() {
     let _alone = ALONE.lock();
     let n = 8192;
-    let config = PaperConfig { magnitude: Magnitude::Unit, ..small(100, 100) };
+    let config = GeneticConfig { magnitude: Magnitude::Unit, ..small(100, 100) };
     let (search, peak) = peak_of(|| {
         let base = normal_base(n);
         let mut search =
-            GeneticAlgorithm::new(config, base, Signals::default(), 1.0, Rng::new(1)).expect("valid settings");
+            GeneticAlgorithm::new(config, base, None, 1.0, Rng::new(1)).expect("valid settings");
         while !search.is_finished() {
             let losses: Vec<f64> = (0..search.ask()).map(|index| dummy(search.generation(), index)).collect();
             search.tell(&losses).expect("one loss each");

@@ -27,17 +27,6 @@ impl Inheritance {
         }
     }
 
-    /// Only some `rows` are exchanged: of all others, each child has what its own parent has.
-    pub(crate) fn keep_to(&mut self, rows: &[u32]) {
-        let masks = match self {
-            Self::Rows(bits) => std::slice::from_mut(bits),
-            Self::Groups(groups) => groups,
-        };
-        let mut own = vec![u64::MAX; masks[0].len()];
-        rows.iter().for_each(|&row| own[row as usize / WORD] &= !(1 << (row as usize % WORD)));
-        masks.iter_mut().flat_map(|mask| mask.iter_mut().zip(&own)).for_each(|(bits, own)| *bits |= own);
-    }
-
     /// Of one gene group: a set bit for each row that the first child takes from the first parent `[⌈N/64⌉]`.
     pub(crate) fn mask(&self, group: Group) -> &[u64] {
         match self {
@@ -152,20 +141,6 @@ mod tests {
             prop_assert_eq!(cuts(&inheritance, n) as u32, points.min(n - 1));
             let one = Inheritance::draw(Crossover::Points { points: 1 }, &Rng::new(seed), 1, 0, n);
             prop_assert_eq!(cuts(&one, n) as u32, 1.min(n - 1));
-        }
-    }
-
-    #[test]
-    fn rows_that_are_not_exchanged_stay_with_their_own_parent() {
-        for kind in [Crossover::Points { points: 3 }, Crossover::Uniform] {
-            let all = Inheritance::draw(kind, &Rng::new(4), 1, 0, 130);
-            let (rows, mut some) = ([0, 63, 64, 129], all.clone());
-            some.keep_to(&rows);
-            for group in Group::ALL {
-                let (all, some) = (bits(&all, group, 130), bits(&some, group, 130));
-                let kept = |row: usize| rows.contains(&(row as u32));
-                assert!((0..130).all(|row| some[row] == if kept(row) { all[row] } else { true }), "{kind:?}");
-            }
         }
     }
 

@@ -1,8 +1,7 @@
 //! Mutation (section 3.2): `x_mutated = x + alpha * u_i * sigma_x * N(0, 1)` (Eq. 4).
 //!
 //! What the paper leaves open, and how it is decided here:
-//! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each individual (or by
-//!   their errors: [`crate::config::SelectedBy`]).
+//! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each individual.
 //! - **Which genes**: each of the three groups of a selected Gaussian mutates with the mutation rate, independently;
 //!   then all its components move, each by its own normal number.
 //! - **`x_base`**: the value that the child has before the mutation. The value in the base would undo what was
@@ -13,19 +12,10 @@
 use genesplat_core::{GENES, Genes, Rng, Stream};
 
 use super::magnitude::{GeneGradients, Magnitudes};
-use super::sampling::{Address, RowChoice};
-use crate::config::{ConfigError, InitialDirection, PaperConfig};
+use super::sampling::{Address, choose_rows};
+use crate::config::{ConfigError, GeneticConfig};
 use crate::individual::group::Group;
 use crate::individual::{Genome, Mutations, Parents};
-
-/// What is known of each Gaussian of a base; [`PaperConfig`] says what a search needs.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Signals {
-    /// Accumulated gradients.
-    pub gradients: Option<GeneGradients>,
-    /// The error that each has a part in `[N]`.
-    pub errors: Option<Vec<f32>>,
-}
 
 /// All that Eq. 4 needs besides the individual; fixed for a search.
 #[derive(Debug)]
@@ -34,9 +24,10 @@ pub(crate) struct Mutation {
     /// alpha times sigma_x of each component, in units of the gene.
     step: Genes,
     magnitudes: Magnitudes,
-    selection: RowChoice,
-    /// Sums of gradients `[N, 7]`, where the initial population goes against them.
-    uphill: Vec<Genes>,
+    /// Rows of the base.
+    total: u32,
+    /// Of which one mutation selects so many.
+    selected: u32,
 }
 
 /// The most Gaussians that the addresses of [`Mutation::draw`] can tell apart.
@@ -47,22 +38,17 @@ const DRAWS_PER_ROW: u32 = 3;
 
 impl Mutation {
     /// For a validated configuration and a finite base.
-    pub(crate) fn new(config: &PaperConfig, base: &[Genes], signals: Signals, rng: Rng) -> Result<Self, ConfigError> {
-        let Signals { gradients, errors } = signals;
+    pub(crate) fn new(
+        config: &GeneticConfig,
+        base: &[Genes],
+        gradients: Option<GeneGradients>,
+        rng: Rng,
+    ) -> Result<Self, ConfigError> {
         let gradients = checked(gradients.filter(|_| config.uses_gradients()), base.len())?;
-        let selection = RowChoice::new(config, base.len() as u32, errors.as_deref())?;
         let magnitudes = Magnitudes::new(config.magnitude, gradients.as_ref())?;
-        let uphill = match config.initial_direction {
-            InitialDirection::Random => Vec::new(),
-            InitialDirection::Downhill => gradients.ok_or(ConfigError::MissingGradients)?.sum,
-        };
         let step = sigma(base).map(|sigma| (config.intensity * sigma) as f32);
-        Ok(Self { rng, step, magnitudes, selection, uphill })
-    }
-
-    /// A selection of rows for the crossover of a pair.
-    pub(crate) fn rows_of_pair(&self, generation: u32, pair: u32) -> Vec<u32> {
-        self.selection.draw(&self.rng, Stream::CrossoverSelection, Address { generation, individual: pair })
+        let total = base.len() as u32;
+        Ok(Self { rng, step, magnitudes, total, selected: config.selected(total) })
     }
 
     /// The child of `parents` after the mutation at `address`.
@@ -72,13 +58,12 @@ impl Mutation {
 
     /// Bytes held besides the base.
     pub(crate) fn bytes(&self) -> usize {
-        self.magnitudes.bytes() + self.selection.bytes() + size_of_val(self.uphill.as_slice())
+        self.magnitudes.bytes()
     }
 
     /// Decides the mutation at `address`: which rows, which groups, how far.
     fn draw(&self, address: Address, rate: f64) -> Mutations {
-        let rows = self.selection.draw(&self.rng, Stream::GeneSelection, address);
-        let uphill = if address.generation == 0 { self.uphill.as_slice() } else { &[] };
+        let rows = choose_rows(&self.rng, Stream::GeneSelection, address, self.total, self.selected);
         let magnitudes = self.magnitudes.over(&rows);
         let mut mutations = Mutations::default();
         for &row in &rows {
@@ -88,33 +73,28 @@ impl Mutation {
             };
             let coins = draw(0);
             let mutates = |group: Group| f64::from(coins.uniform(group as usize)) < rate;
-            let uphill = uphill.get(row as usize).copied().unwrap_or_default();
             let u = |group| magnitudes.u(group, row);
             if mutates(Group::Position) {
                 let ([x, y], [z, _]) = (draw(1).normals(0), draw(1).normals(1));
-                mutations.position.push(row, self.moved(Group::Position, u(Group::Position), [x, y, z], &uphill));
+                mutations.position.push(row, self.moved(Group::Position, u(Group::Position), [x, y, z]));
             }
             if mutates(Group::Scale) {
                 let ([x, y], [z, _]) = (draw(2).normals(0), draw(2).normals(1));
-                mutations.scale.push(row, self.moved(Group::Scale, u(Group::Scale), [x, y, z], &uphill));
+                mutations.scale.push(row, self.moved(Group::Scale, u(Group::Scale), [x, y, z]));
             }
             if mutates(Group::Opacity) {
                 // The number that position leaves over.
                 let [_, o] = draw(1).normals(1);
-                mutations.opacity.push(row, self.moved(Group::Opacity, u(Group::Opacity), [o], &uphill));
+                mutations.opacity.push(row, self.moved(Group::Opacity, u(Group::Opacity), [o]));
             }
         }
         mutations
     }
 
-    /// `alpha * u_i * sigma_x * N(0, 1)` for the components of a group; against a gradient, where there is one.
-    fn moved<const W: usize>(&self, group: Group, u: f32, normals: [f32; W], uphill: &Genes) -> [f32; W] {
-        let (step, uphill): ([f32; W], [f32; W]) = (group.of(&self.step), group.of(uphill));
-        std::array::from_fn(|component| {
-            let (normal, uphill) = (normals[component], uphill[component]);
-            let normal = if uphill == 0.0 { normal } else { -normal.abs() * uphill.signum() };
-            step[component] * u * normal
-        })
+    /// `alpha * u_i * sigma_x * N(0, 1)` for the components of a group (Eq. 4).
+    fn moved<const W: usize>(&self, group: Group, u: f32, normals: [f32; W]) -> [f32; W] {
+        let step: [f32; W] = group.of(&self.step);
+        std::array::from_fn(|component| step[component] * u * normals[component])
     }
 }
 
@@ -158,8 +138,8 @@ mod tests {
         (0..n).map(|row| std::array::from_fn(|c| sign(row) * (c + 1) as f32)).collect()
     }
 
-    fn mutation(config: &PaperConfig, base: &[Genes], gradients: Option<GeneGradients>) -> Mutation {
-        Mutation::new(config, base, Signals { gradients, errors: None }, Rng::new(3)).expect("valid")
+    fn mutation(config: &GeneticConfig, base: &[Genes], gradients: Option<GeneGradients>) -> Mutation {
+        Mutation::new(config, base, gradients, Rng::new(3)).expect("valid")
     }
 
     fn mutant(mutation: &Mutation, base: &[Genes], address: Address, rate: f64) -> SparseDelta {
@@ -190,7 +170,7 @@ mod tests {
     #[test]
     fn moves_are_normal_with_standard_deviation_alpha_sigma() {
         let base = base(1000);
-        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..PaperConfig::default() };
+        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..GeneticConfig::default() };
         let moves = moves(&mutation(&config, &base, None), &base, 0.5, 40);
         for (component, moves) in moves.iter().enumerate() {
             let n = moves.len() as f64;
@@ -208,7 +188,7 @@ mod tests {
     #[test]
     fn components_move_independently() {
         let base = base(500);
-        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
         let moves = moves(&mutation(&config, &base, None), &base, 1.0, 20);
         let n = moves[0].len();
         assert!(moves.iter().all(|column| column.len() == n), "at rate 1 every gene moves");
@@ -224,7 +204,7 @@ mod tests {
     #[test]
     fn groups_mutate_independently() {
         let base = base(4000);
-        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
         let address = Address { generation: 1, individual: 0 };
         let Mutations { position, scale, opacity } = mutation(&config, &base, None).draw(address, 0.5);
         for (a, b) in [(&position.rows, &scale.rows), (&scale.rows, &opacity.rows), (&opacity.rows, &position.rows)] {
@@ -243,7 +223,7 @@ mod tests {
             let gradient = |row, gene| if row < 500 || !genes.contains(&gene) { 0.0 } else { 3.0 };
             let sum = (0..1000).map(|row| std::array::from_fn(|gene| gradient(row, gene))).collect();
             let gradients = GeneGradients { sum, views: vec![2; 1000] };
-            let config = PaperConfig { selection_fraction: 1.0, ..PaperConfig::default() };
+            let config = GeneticConfig { selection_fraction: 1.0, ..GeneticConfig::default() };
             let mutation = mutation(&config, &base, Some(gradients));
             let mut squares = [0.0f64; 2];
             for individual in 0..20 {
@@ -264,7 +244,7 @@ mod tests {
     #[test]
     fn each_individual_of_each_generation_mutates_in_its_own_way() {
         let base = base(1000);
-        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
         let mutation = mutation(&config, &base, None);
         let at = |generation, individual| mutation.draw(Address { generation, individual }, 0.5);
         // All rows are selected, so that only coins and normal numbers can differ.
@@ -279,7 +259,7 @@ mod tests {
     #[test]
     fn exactly_the_selected_fraction_is_touched() {
         let base = base(1000);
-        let config = PaperConfig { magnitude: Magnitude::Unit, ..PaperConfig::default() };
+        let config = GeneticConfig { magnitude: Magnitude::Unit, ..GeneticConfig::default() };
         let mutation = mutation(&config, &base, None);
         let touched = |rate| {
             let address = Address { generation: 0, individual: 0 };
@@ -291,11 +271,11 @@ mod tests {
     #[test]
     fn a_gene_that_would_overflow_keeps_its_value() {
         let base: Vec<Genes> = (0..100).map(|row| [if row % 2 == 0 { f32::MAX } else { -f32::MAX }; GENES]).collect();
-        let config = PaperConfig {
+        let config = GeneticConfig {
             magnitude: Magnitude::Unit,
             intensity: 1.0,
             selection_fraction: 1.0,
-            ..PaperConfig::default()
+            ..GeneticConfig::default()
         };
         let mutation = mutation(&config, &base, None);
         let address = Address { generation: 0, individual: 0 };

@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 
 use genesplat_core::{Rng, Stream};
 
-use crate::config::{ConfigError, PaperConfig, SelectedBy};
 use crate::individual::column::{WORD, is_set, ones, words};
 
 /// Who a random number belongs to.
@@ -16,69 +15,8 @@ pub(crate) struct Address {
     pub(crate) individual: u32,
 }
 
-/// How selections of a cloud's rows are drawn.
-#[derive(Debug)]
-pub(crate) struct RowChoice {
-    total: u32,
-    wanted: u32,
-    /// Sums of the errors of the rows up to each one, to the last one that has any; none where all rows are alike.
-    sums: Vec<f64>,
-}
-
-impl RowChoice {
-    /// Of `total` rows; `errors` `[N]` are needed when [`PaperConfig::uses_errors`].
-    pub(crate) fn new(config: &PaperConfig, total: u32, errors: Option<&[f32]>) -> Result<Self, ConfigError> {
-        let sums = match config.selected_by {
-            SelectedBy::Uniform => Vec::new(),
-            SelectedBy::Error => sums_of(errors.filter(|errors| errors.len() == total as usize))?,
-        };
-        Ok(Self { total, wanted: config.selected(total), sums })
-    }
-
-    /// The rows selected at `address` of a stream, ascending.
-    pub(crate) fn draw(&self, rng: &Rng, stream: Stream, address: Address) -> Vec<u32> {
-        let Some(&all) = self.sums.last() else {
-            return choose_rows(rng, stream, address, self.total, self.wanted);
-        };
-        // One row for each part of equal error; a row with much may be that of several.
-        let mut rows = Vec::with_capacity(self.wanted as usize);
-        let (part, mut row) = (all / f64::from(self.wanted), 0);
-        for (block, first) in (0..self.wanted).step_by(4).enumerate() {
-            let draw = rng.at(stream, address.generation, address.individual, block as u32);
-            for (lane, nth) in (first..self.wanted.min(first + 4)).enumerate() {
-                let place = part * (f64::from(nth) + f64::from(draw.uniform(lane)));
-                row += self.sums[row..].partition_point(|&sum| sum <= place);
-                // Rounded, a place may be at the very end.
-                row = row.min(self.sums.len() - 1);
-                rows.push(row as u32);
-            }
-        }
-        rows.dedup();
-        rows
-    }
-
-    /// Bytes held.
-    pub(crate) fn bytes(&self) -> usize {
-        self.sums.capacity() * size_of::<f64>()
-    }
-}
-
-fn sums_of(errors: Option<&[f32]>) -> Result<Vec<f64>, ConfigError> {
-    let mut sum = 0.0;
-    let add = |&error: &f32| {
-        sum += f64::from(error);
-        sum
-    };
-    let mut sums: Vec<f64> = errors.unwrap_or_default().iter().map(add).collect();
-    if !(sum > 0.0 && sum.is_finite() && sums.is_sorted()) {
-        return Err(ConfigError::MissingErrors);
-    }
-    sums.truncate(sums.partition_point(|&before| before < sum) + 1);
-    Ok(sums)
-}
-
 /// `wanted` of the rows `0..total`, ascending; every subset is equally likely. As [`distinct`], with a bit a row.
-fn choose_rows(rng: &Rng, stream: Stream, address: Address, total: u32, wanted: u32) -> Vec<u32> {
+pub(crate) fn choose_rows(rng: &Rng, stream: Stream, address: Address, total: u32, wanted: u32) -> Vec<u32> {
     let mut chosen = vec![0; words(total as usize)];
     for (block, first) in (total - wanted..total).step_by(4).enumerate() {
         let draw = rng.at(stream, address.generation, address.individual, block as u32);
@@ -162,50 +100,6 @@ mod tests {
         let bound = 4.5 * (10_000.0f64 * 0.3 * 0.7).sqrt();
         for count in counts.as_flattened() {
             assert!((f64::from(*count) - 3000.0).abs() < bound, "{counts:?}");
-        }
-    }
-
-    fn by_error(errors: &[f32], fraction: f64) -> Result<RowChoice, ConfigError> {
-        let config =
-            PaperConfig { selected_by: SelectedBy::Error, selection_fraction: fraction, ..PaperConfig::default() };
-        RowChoice::new(&config, errors.len() as u32, Some(errors))
-    }
-
-    /// Of ten rows, three are drawn 10,000 times.
-    #[test]
-    fn rows_are_drawn_in_proportion_to_their_errors() {
-        let errors = [0.0, 1.0, 2.0, 3.0, 0.0, 3.0, 2.0, 1.0, 3.0, 0.0];
-        let choice = by_error(&errors, 0.3).expect("some are above 0");
-        let mut counts = [0u32; 10];
-        for individual in 0..10_000 {
-            let rows = choice.draw(&Rng::new(5), Stream::Test, Address { generation: 1, individual });
-            assert!(rows.is_sorted_by(|a, b| a < b) && rows.len() <= 3, "{rows:?}");
-            rows.iter().for_each(|&row| counts[row as usize] += 1);
-        }
-        for (row, error) in errors.into_iter().enumerate() {
-            // Each part has 5. Rows 3 and 6 lie in two parts, 2 + 1 and 1 + 1, and are drawn from both or from one.
-            let likely = match row {
-                3 => 1.0 - 0.6 * 0.8,
-                6 => 1.0 - 0.8 * 0.8,
-                _ => f64::from(error) / 5.0,
-            };
-            // Four and a half standard errors of a binomial.
-            let bound = 4.5 * (10_000.0f64 * likely * (1.0 - likely)).sqrt();
-            assert!((f64::from(counts[row]) - 10_000.0 * likely).abs() <= bound, "row {row}: {counts:?}");
-        }
-    }
-
-    #[test]
-    fn a_row_that_has_nearly_all_errors_is_drawn_once() {
-        let choice = by_error(&[1e-6, 1e6, 1e-6, 0.0], 0.75).expect("some are above 0");
-        let rows = choice.draw(&Rng::new(1), Stream::Test, Address { generation: 0, individual: 0 });
-        assert_eq!(rows, [1]);
-    }
-
-    #[test]
-    fn errors_that_nothing_can_be_drawn_by_are_refused() {
-        for errors in [&[0.0, 0.0][..], &[f32::NAN, 1.0], &[1.0, f32::INFINITY], &[-1.0, 2.0, -0.5], &[]] {
-            assert_eq!(by_error(errors, 0.5).map(|_| ()), Err(ConfigError::MissingErrors), "{errors:?}");
         }
     }
 }

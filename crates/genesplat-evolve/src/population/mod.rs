@@ -25,7 +25,7 @@ use std::sync::Arc;
 
 use genesplat_core::Rng;
 
-use crate::config::{Crossover, CrossoverOf, PaperConfig};
+use crate::config::{Crossover, GeneticConfig};
 use crate::individual::{Genome, Parents};
 use crate::operators::crossover::{Inheritance, is_crossed};
 use crate::operators::mutation::Mutation;
@@ -68,7 +68,7 @@ pub(crate) struct MatingPlan {
 
 impl MatingPlan {
     /// Two tournaments and one coin a pair, until there are enough children.
-    pub(crate) fn draw(config: &PaperConfig, rng: &Rng, generation: u32) -> Self {
+    pub(crate) fn draw(config: &GeneticConfig, rng: &Rng, generation: u32) -> Self {
         let children = config.population - config.elites();
         let rate = config.rates(generation).crossover;
         let pair = |pair| {
@@ -95,7 +95,6 @@ pub(crate) struct Breeder {
     pub(crate) consensus: Consensus,
     pub(crate) mutation: Mutation,
     pub(crate) crossover: Crossover,
-    pub(crate) crossover_of: CrossoverOf,
     pub(crate) rng: Rng,
 }
 
@@ -113,10 +112,7 @@ impl Breeder {
         if !crossed {
             return mutate(Parents::One(own));
         }
-        let mut inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, shared.len() as u32);
-        if self.crossover_of == CrossoverOf::Selected {
-            inheritance.keep_to(&self.mutation.rows_of_pair(generation, pair));
-        }
+        let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, shared.len() as u32);
         mutate(Parents::Crossed(own, other, &inheritance))
     }
 
@@ -135,16 +131,11 @@ pub(crate) fn distinct_bytes<'a>(genomes: impl Iterator<Item = &'a Arc<Genome>>)
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::Genes;
-
     use super::*;
-    use crate::config::Magnitude;
-    use crate::individual::Mutations;
-    use crate::operators::mutation::Signals;
 
     #[test]
     fn the_plan_keeps_elites_and_parents_and_no_one_else() {
-        let config = PaperConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..PaperConfig::default() };
+        let config = GeneticConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..GeneticConfig::default() };
         let plan = MatingPlan::draw(&config, &Rng::new(4), 9);
         assert_eq!((config.elites(), plan.pairs.len()), (6, 13), "25 children of 13 pairs");
         let is_parent = |rank: &u32| plan.pairs.iter().any(|(ranks, _)| ranks.contains(rank));
@@ -156,7 +147,7 @@ mod tests {
     /// C(P, T))^(P-E)`.
     #[test]
     fn about_a_quarter_of_the_papers_population_is_kept() {
-        let config = PaperConfig::default();
+        let config = GeneticConfig::default();
         let kept: Vec<f64> =
             (1..=200).map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len() as f64).collect();
         let mean = kept.iter().sum::<f64>() / kept.len() as f64;
@@ -172,37 +163,10 @@ mod tests {
 
     #[test]
     fn a_weak_tournament_keeps_more() {
-        let config = PaperConfig { tournament: 2, ..PaperConfig::default() };
+        let config = GeneticConfig { tournament: 2, ..GeneticConfig::default() };
         let kept: usize =
             (1..=100).map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len()).sum();
         assert!((kept as f64 / 100.0 - 55.0).abs() < 1.0, "the docs say about 55: {kept}");
-    }
-
-    /// Without mutations, whatever a child has of the other parent lies in a tenth of the rows; the other child has the rest.
-    #[test]
-    fn parents_exchange_a_selection_where_they_are_told_to() {
-        let base: Vec<Genes> = vec![[0.0; 7]; 400];
-        let config = PaperConfig { magnitude: Magnitude::Unit, ..PaperConfig::default() };
-        let all_of = |mark: f32| {
-            let mut all = Mutations::default();
-            (0..400).for_each(|row| all.opacity.push(row, [mark]));
-            Arc::new(Genome::child(Parents::One(&Genome::unchanged(400)), &all, &base))
-        };
-        let pairs = vec![Pair { parents: [all_of(1.0), all_of(2.0)], crossed: true }];
-        let brood = Brood { count: 2, pairs };
-        let exchanged = |crossover_of| {
-            let mutation = Mutation::new(&config, &base, Signals::default(), Rng::new(1)).expect("valid settings");
-            let consensus = Consensus::new(base.clone());
-            let crossover = Crossover::Points { points: 1 };
-            let breeder = Breeder { consensus, mutation, crossover, crossover_of, rng: Rng::new(1) };
-            let opacities =
-                |child| breeder.genome(&brood, 1, child, 0.0).to_delta(&base).genes.iter().map(|row| row[6]).collect();
-            let [first, second]: [Vec<f32>; 2] = [0, 1].map(opacities);
-            assert!(first.iter().zip(&second).all(|(a, b)| a + b == 3.0));
-            first.iter().filter(|&&opacity| opacity == 2.0).count()
-        };
-        let (selected, all) = (exchanged(CrossoverOf::Selected), exchanged(CrossoverOf::All));
-        assert!(selected > 0 && selected <= 40 && all > 40, "{selected}, {all}");
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use genesplat_core::{Genes, Rng, SparseDelta, Stream};
-use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig, Signals};
+use genesplat_evolve::{GeneticAlgorithm, GeneticConfig, Magnitude};
 
 /// `n` Gaussians with standard normal genes.
 pub(crate) fn normal_base(n: u32) -> Vec<Genes> {
@@ -31,14 +31,14 @@ pub(crate) fn sphere(base: &[Genes], delta: &SparseDelta) -> f64 {
 }
 
 /// Small and gradient-free.
-pub(crate) fn small(generations: u32, population: u32) -> PaperConfig {
-    PaperConfig { generations, population, magnitude: Magnitude::Unit, ..PaperConfig::default() }
+pub(crate) fn small(generations: u32, population: u32) -> GeneticConfig {
+    GeneticConfig { generations, population, magnitude: Magnitude::Unit, ..GeneticConfig::default() }
 }
 
 /// A search on the sphere.
-pub(crate) fn on_sphere(config: PaperConfig, base: &[Genes], seed: u64) -> GeneticAlgorithm {
+pub(crate) fn on_sphere(config: GeneticConfig, base: &[Genes], seed: u64) -> GeneticAlgorithm {
     let base_loss = sphere(base, &SparseDelta::default());
-    GeneticAlgorithm::new(config, base.to_vec(), Signals::default(), base_loss, Rng::new(seed)).expect("valid settings")
+    GeneticAlgorithm::new(config, base.to_vec(), None, base_loss, Rng::new(seed)).expect("valid settings")
 }
 
 /// Several individuals of a generation, as differences from the base.

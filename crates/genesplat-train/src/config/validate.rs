@@ -4,8 +4,7 @@ use std::fmt;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
-use super::density::RECOVERED_OPACITY;
-use super::{DensityControl, EvolutionMode, Signal, StepBudget, TrainConfig, Variant};
+use super::{StepBudget, TrainConfig};
 use crate::scene::initialise::NEIGHBOURS;
 
 /// The first size of a Gaussian is that of its neighbours, so a cloud has some.
@@ -31,9 +30,9 @@ pub enum ConfigError {
         /// What it may be.
         wanted: &'static str,
     },
-    /// The genetic algorithm's settings are wrong.
-    #[error("in evolution.paper: {0}")]
-    Paper(genesplat_evolve::ConfigError),
+    /// The genetic search's settings are wrong.
+    #[error("in genetic: {0}")]
+    Genetic(genesplat_evolve::ConfigError),
 }
 
 /// A range of numbers, and how an error names it.
@@ -41,8 +40,6 @@ type Range = (fn(f64) -> bool, &'static str);
 
 const POSITIVE: Range = (|value| value > 0.0 && value.is_finite(), "a number above 0");
 const NOT_NEGATIVE: Range = (|value| value >= 0.0 && value.is_finite(), "a number that is not negative");
-const FRACTION: Range = (|value| (0.0..=1.0).contains(&value), "between 0 and 1");
-const HALF: Range = (|value| value > 0.0 && value <= 0.5, "above 0 and at most 0.5");
 
 impl TrainConfig {
     /// Checks every setting; the first that is out of range is reported.
@@ -58,7 +55,7 @@ impl TrainConfig {
         self.validate_counts()?;
         self.validate_numbers()?;
         self.validate_combinations()?;
-        self.evolution.paper.validate().map_err(ConfigError::Paper)
+        self.genetic.as_ref().map_or(Ok(()), |genetic| genetic.validate().map_err(ConfigError::Genetic))
     }
 
     fn validate_counts(&self) -> Result<(), ConfigError> {
@@ -68,45 +65,33 @@ impl TrainConfig {
         let views = self.views_per_step;
         check("views_per_step", views, (1..=1000).contains(&views), "between 1 and 1000")?;
         let counts = [
-            ("optimiser.position_steps", self.optimiser.position_steps as usize),
-            ("densify.every", self.densify.every as usize),
-            ("densify.reset_every", self.densify.reset_every as usize),
-            ("evolution.stride", self.evolution.stride as usize),
-            ("evolution.views", self.evolution.views),
+            ("method.densify_every", self.method.densify_every),
+            ("method.reset_every", self.method.reset_every),
         ];
         counts.into_iter().try_for_each(|(setting, value)| check(setting, value, value > 0, "at least 1"))
     }
 
     fn validate_numbers(&self) -> Result<(), ConfigError> {
-        let Self { optimiser, densify, mcmc, evolution, .. } = self;
-        let seconds = match evolution.extra_steps {
+        let method = &self.method;
+        let seconds = match self.extra_steps {
             Some(StepBudget::Seconds(seconds)) => seconds,
             _ => 0.0,
         };
-        let [position_start, position_end] = self.position_rates();
-        let numbers: [(&'static str, f64, Range); 22] = [
-            ("extent", self.extent.unwrap_or(1.0), POSITIVE),
-            ("optimiser.position_start", position_start, POSITIVE),
-            ("optimiser.position_end", position_end, POSITIVE),
-            ("optimiser.sh_dc", optimiser.sh_dc.into(), NOT_NEGATIVE),
-            ("optimiser.sh_rest", optimiser.sh_rest.into(), NOT_NEGATIVE),
-            ("optimiser.opacity", self.opacity_rate().into(), NOT_NEGATIVE),
-            ("optimiser.scale", optimiser.scale.into(), NOT_NEGATIVE),
-            ("optimiser.rotation", optimiser.rotation.into(), NOT_NEGATIVE),
-            ("densify.gradient_threshold", self.gradient_threshold().into(), POSITIVE),
-            ("densify.clone_size", densify.clone_size, POSITIVE),
-            ("densify.prune_size", densify.prune_size, POSITIVE),
-            ("densify.prune_opacity", densify.prune_opacity.into(), FRACTION),
-            ("densify.reset_opacity", self.reset_opacity().into(), (|o| o > 0.0 && o < 1.0, "above 0 and below 1")),
-            ("mcmc.growth", mcmc.growth, NOT_NEGATIVE),
-            ("mcmc.noise", mcmc.noise.into(), NOT_NEGATIVE),
-            ("mcmc.opacity_weight", mcmc.opacity_weight.into(), NOT_NEGATIVE),
-            ("mcmc.scale_weight", mcmc.scale_weight.into(), NOT_NEGATIVE),
-            ("evolution.extra_steps.seconds", seconds, NOT_NEGATIVE),
-            ("evolution.renewal.fraction", evolution.renewal.fraction, HALF),
-            ("evolution.renewal.every", evolution.renewal.every, HALF),
-            ("evolution.renewal.until", self.renew_until(), FRACTION),
-            ("evolution.renewal.capacity", evolution.renewal.capacity, NOT_NEGATIVE),
+        let numbers: [(&'static str, f64, Range); 14] = [
+            ("method.position_rate_start", method.position_rate_start, POSITIVE),
+            ("method.position_rate_end", method.position_rate_end, POSITIVE),
+            ("method.feature_rate", method.feature_rate, NOT_NEGATIVE),
+            ("method.opacity_rate", method.opacity_rate.into(), NOT_NEGATIVE),
+            ("method.scale_rate", method.scale_rate.into(), NOT_NEGATIVE),
+            ("method.rotation_rate", method.rotation_rate.into(), NOT_NEGATIVE),
+            ("method.gradient_threshold", method.gradient_threshold.into(), POSITIVE),
+            ("method.prune_size", method.prune_size, POSITIVE),
+            ("method.growth", method.growth, NOT_NEGATIVE),
+            ("method.noise", method.noise.into(), NOT_NEGATIVE),
+            ("method.opacity_weight", method.opacity_weight.into(), NOT_NEGATIVE),
+            ("method.scale_weight", method.scale_weight.into(), NOT_NEGATIVE),
+            ("method.capacity", method.capacity, NOT_NEGATIVE),
+            ("extra_steps.seconds", seconds, NOT_NEGATIVE),
         ];
         numbers
             .into_iter()
@@ -115,32 +100,19 @@ impl TrainConfig {
 
     /// Settings that are right alone and wrong together.
     fn validate_combinations(&self) -> Result<(), ConfigError> {
-        let mip = self.variant == Variant::MipSplatting;
-        let wanted = "false with mip-splatting, which has its own filter";
-        check("antialiasing", true, !(mip && self.antialiasing), wanted)?;
-        let Self { densify, evolution, .. } = self;
-        let signal_is_free = matches!(self.variant, Variant::ThreeDgs | Variant::MipSplatting);
-        check(
-            "densify.signal",
-            densify.signal.name(),
-            signal_is_free || densify.signal == Signal::Published,
-            "published with pixel-gs and improved-gs, which are signals of their own, and with mcmc, which needs none",
-        )?;
+        let name = self.method.name;
+        let is_free = !self.antialiasing || name.screen_filter().is_none();
+        check("antialiasing", true, is_free, "false with mip-splatting, which has its own filter")?;
         let steps = f64::from(self.iterations) * self.steps_scale / f64::from(self.views_per_step);
         let has_step = self.views_per_step == 1 || steps > 1.0;
         check("views_per_step", self.views_per_step, has_step, "less than the iterations, or no step is made")?;
-        let survives = densify.prune_opacity < self.reset_opacity();
-        let wanted = "below densify.reset_opacity, or each reset empties the cloud";
-        check("densify.prune_opacity", densify.prune_opacity, survives, wanted)?;
-        let recovers = self.density_control() != DensityControl::ImprovedGs || self.reset_opacity() > RECOVERED_OPACITY;
-        let wanted = "above 0.02 with improved-gs or renew, which prune what is fainter soon after each reset";
-        check("densify.reset_opacity", self.reset_opacity(), recovers, wanted)?;
-        let is_alone = evolution.extra_steps.is_none() || evolution.mode == EvolutionMode::Off;
-        let wanted = "left out unless evolution.mode is off: it is a control";
-        check("evolution.extra_steps", "set", is_alone, wanted)?;
-        let is_fair = evolution.extra_steps.is_none() || self.views_per_step == 1;
-        let wanted = "1 with evolution.extra_steps, whose steps are of one photo each";
-        check("views_per_step", self.views_per_step, is_fair, wanted)
+        let searches = self.genetic.is_some() || self.extra_steps.is_some();
+        let wanted = "a method that resets opacities with genetic, whose search follows each reset";
+        check("method.name", name, !searches || name.resets(), wanted)?;
+        let is_alone = self.extra_steps.is_none() || self.genetic.is_none();
+        check("extra_steps", "set", is_alone, "left out beside genetic: it is the control of its search")?;
+        let is_fair = self.extra_steps.is_none() || self.views_per_step == 1;
+        check("views_per_step", self.views_per_step, is_fair, "1 with extra_steps, whose steps are of one photo each")
     }
 }
 

@@ -9,7 +9,7 @@ pub(crate) mod trainer;
 use genesplat_core::{Backend, BackendError, Gaussians};
 use serde::{Deserialize, Serialize};
 
-use crate::config::Variant;
+use crate::method::MethodName;
 use crate::scene::initialise::{ColouredPoint, InitialiseError};
 use checkpoint::{Checkpoint, Cursor, Progress};
 use observe::StageRecord;
@@ -68,7 +68,7 @@ impl RunSummary {
             stages: self.stages.clone(),
         };
         let cursor = Cursor::start_of(self.iterations + 1);
-        Ok(Checkpoint { cursor, progress, state: backend.state()?, trial: None, virtual_pictures: Vec::new() })
+        Ok(Checkpoint { cursor, progress, state: backend.state()?, virtual_pictures: Vec::new() })
     }
 }
 
@@ -110,8 +110,7 @@ pub enum TrainError {
     },
     /// Pruning left nothing.
     #[error(
-        "every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together, \
-         or densify.prune_opacity is too high"
+        "every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together"
     )]
     NothingLeft {
         /// Counted from 1.
@@ -133,9 +132,9 @@ pub enum TrainError {
     Tell(#[from] genesplat_evolve::TellError),
     /// The checkpoint belongs to another kind of run.
     #[error("the checkpoint was not made by a {wanted} run; resume with the configuration that it was made with")]
-    OtherVariant {
-        /// The configuration's variant.
-        wanted: Variant,
+    OtherMethod {
+        /// The configuration's method.
+        wanted: MethodName,
     },
     /// The checkpoint has pictures from between other photos.
     #[error("the checkpoint was made with other photos, or of another size; resume with those that it was made with")]

@@ -65,7 +65,7 @@ pub struct DensifyLog {
 pub struct StageLog {
     /// What it is about to do.
     pub kind: StageKind,
-    /// Iteration of the trigger.
+    /// Iteration that it comes in.
     pub iteration: u32,
     /// Generations to be bred after the initial population.
     pub generations: u32,
@@ -78,7 +78,7 @@ pub struct StageLog {
 /// One generation of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GenerationLog {
-    /// Iteration of the trigger.
+    /// Iteration that it comes in.
     pub iteration: u32,
     /// 0 is the initial population.
     pub generation: u32,
@@ -123,26 +123,23 @@ impl GenerationLog {
 #[serde(rename_all = "kebab-case")]
 pub enum StageKind {
     /// Algorithm 1 of the paper.
-    Paper,
+    Genetic,
     /// Gradient steps in its place: the equal-time control.
     ExtraSteps,
-    /// A mean of a window's states.
+    /// The mean of the last states.
     Averaging,
-    /// A renewal and its trial.
-    Renewal,
 }
 
 impl StageKind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Paper, Self::ExtraSteps, Self::Averaging, Self::Renewal];
+    pub const ALL: [Self; 3] = [Self::Genetic, Self::ExtraSteps, Self::Averaging];
 
     /// As log and reports write it.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Paper => "paper",
+            Self::Genetic => "genetic",
             Self::ExtraSteps => "extra-steps",
             Self::Averaging => "averaging",
-            Self::Renewal => "renewal",
         }
     }
 }
@@ -152,18 +149,18 @@ impl StageKind {
 pub struct StageRecord {
     /// What it did.
     pub kind: StageKind,
-    /// Iteration of the trigger.
+    /// Iteration that it comes in.
     pub iteration: u32,
-    /// Generations of its search that were completed, the initial population included; 1 for a renewal, 0 for averaging
+    /// Generations of its search that were completed, the initial population included; 0 for averaging
     /// and extra steps.
     pub generations: u32,
     /// Renders made; the gradient steps of extra steps.
     pub renders: u64,
     /// Mean Eq. 5 on the stage's views before it.
     pub fitness_before: f64,
-    /// The same after it. Never above `fitness_before` for evolution but for renewals and averages, where guard PSNR decides.
+    /// The same after it. Never above `fitness_before` for a search; for averages guard PSNR decides.
     pub fitness_after: f64,
-    /// Mean PSNR of the guard views before and after it, dB; of a renewal that stays the second is never below the first.
+    /// Mean PSNR of the guard views before and after it, dB.
     pub guard_psnr: Option<[f64; 2]>,
     /// Gaussians that the stage changed; 0 when nothing beat the base.
     pub changed: usize,

@@ -4,7 +4,6 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use genesplat_core::backend::McmcStep;
 use genesplat_core::{
     BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng, Sight,
     StatisticsRequest, Stream, TrainStep, Update, View,
@@ -12,49 +11,82 @@ use genesplat_core::{
 
 use super::checkpoint::{Checkpoint, Cursor, Progress};
 use super::notices;
-use super::observe::{Observer, StageRecord, StartLog};
+use super::observe::{Observer, StartLog};
 use super::{Outcome, RunSummary, Seconds, Start, TrainError};
-use crate::config::{Background, TrainConfig, Variant};
-use crate::densify::cap::Cap;
-use crate::densify::mcmc;
+use crate::config::{Background, TrainConfig};
+use crate::density::cap::Cap;
+use crate::optimiser_step::OptimiserStep;
 use crate::scene::filter_3d::filter_3d;
-use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent, unit_of};
+use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent};
 use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
 use crate::scene::virtual_views::VirtualViews;
-use crate::schedule::{OptimiserStep, Phase, Schedule};
+use crate::schedule::Schedule;
+use crate::timeline::Event;
 
 /// Iterations between two read-backs of the loss, which make a GPU wait.
 pub(crate) const REPORT_EVERY: u32 = 10;
 
-/// A run under way.
-pub(crate) struct Trainer<'a> {
-    pub(crate) backend: &'a mut dyn EvolutionBackend,
+/// What does not change in a run.
+pub(crate) struct Run<'a> {
     pub(crate) views: &'a [View],
-    pub(crate) config: &'a TrainConfig,
     pub(crate) schedule: &'a Schedule,
-    pub(crate) observer: &'a mut dyn Observer,
-    pub(crate) stop: &'a AtomicBool,
     pub(crate) rng: Rng,
     /// Size of the scene, world units.
     pub(crate) extent: f64,
     pub(crate) signal: Option<DensitySignal>,
-    pub(crate) order: ViewOrder,
-    pub(crate) virtual_views: VirtualViews,
-    pub(crate) progress: Progress,
-    /// What is reported of the renewal on trial, as if it had succeeded; the guard score that ends it is not in it yet.
-    /// The state before it is the backend's snapshot.
-    pub(crate) trial: Option<StageRecord>,
-    /// What is done next, or is under way.
-    pub(crate) cursor: Cursor,
-    /// The phase under way has changed the state, and has more to change: a checkpoint now could not be resumed.
-    pub(crate) is_mid_change: bool,
     /// How many Gaussians the cloud may grow to by the end of density control.
     pub(crate) cap: Cap,
-    /// The user knows that it is reached.
-    pub(crate) cap_noticed: bool,
+}
+
+impl<'a> Run<'a> {
+    pub(crate) fn new(views: &'a [View], schedule: &'a Schedule) -> Result<Self, TrainError> {
+        if views.is_empty() {
+            return Err(TrainError::NoViews);
+        }
+        let (config, extent) = (schedule.config(), scene_extent(views.iter().map(|view| &view.camera))?);
+        let (signal, cap) = (schedule.method().density_signal(extent), Cap::new(config, views));
+        Ok(Self { views, schedule, rng: Rng::new(config.seed), extent, signal, cap })
+    }
+
+    pub(crate) fn config(&self) -> &'a TrainConfig {
+        self.schedule.config()
+    }
+}
+
+/// Which view a step looks at.
+pub(crate) struct Visits {
+    pub(crate) order: ViewOrder,
+    pub(crate) virtual_views: VirtualViews,
+}
+
+/// How far a run has come.
+pub(crate) struct Place {
+    pub(crate) progress: Progress,
+    /// What is done next, or is under way.
+    pub(crate) cursor: Cursor,
+    /// The event under way has changed the state, and has more to change: a checkpoint now could not be resumed.
+    pub(crate) is_mid_change: bool,
+}
+
+/// What is looked for, or told, once.
+#[derive(Default)]
+pub(crate) struct Told {
+    /// The cap is reached.
+    pub(crate) cap: bool,
     /// A step has had a Gaussian in its picture.
     pub(crate) has_seen: bool,
+}
+
+/// A run under way.
+pub(crate) struct Trainer<'a> {
+    pub(crate) backend: &'a mut dyn EvolutionBackend,
+    pub(crate) observer: &'a mut dyn Observer,
+    pub(crate) stop: &'a AtomicBool,
+    pub(crate) run: Run<'a>,
+    pub(crate) visits: Visits,
+    pub(crate) place: Place,
+    pub(crate) told: Told,
 }
 
 impl<'a> Trainer<'a> {
@@ -65,33 +97,13 @@ impl<'a> Trainer<'a> {
         observer: &'a mut dyn Observer,
         stop: &'a AtomicBool,
     ) -> Result<Self, TrainError> {
-        if views.is_empty() {
-            return Err(TrainError::NoViews);
-        }
-        let config = schedule.config();
-        let extent = config.extent.map_or_else(|| scene_extent(views.iter().map(|view| &view.camera)), Ok)?;
-        let rng = Rng::new(config.seed);
+        let run = Run::new(views, schedule)?;
         backend.set_views(views)?;
-        Ok(Self {
-            signal: crate::densify::signal(config, extent),
-            order: ViewOrder::new(rng, views.len()),
-            virtual_views: VirtualViews::new(views, schedule.virtual_steps(views.len()), extent, rng),
-            progress: Progress::default(),
-            trial: None,
-            cursor: Cursor::start_of(1),
-            is_mid_change: false,
-            cap: Cap::new(config, views),
-            cap_noticed: false,
-            has_seen: false,
-            backend,
-            views,
-            config,
-            schedule,
-            observer,
-            stop,
-            rng,
-            extent,
-        })
+        let (count, Run { extent, rng, .. }) = (views.len(), &run);
+        let virtual_views = VirtualViews::new(views, schedule.virtual_steps(count), *extent, *rng);
+        let visits = Visits { order: ViewOrder::new(*rng, count), virtual_views };
+        let place = Place { progress: Progress::default(), cursor: Cursor::start_of(1), is_mid_change: false };
+        Ok(Self { backend, observer, stop, run, visits, place, told: Told::default() })
     }
 
     /// Fills the device; returns where to go on.
@@ -104,7 +116,7 @@ impl<'a> Trainer<'a> {
             }
             Start::Cloud(cloud) => {
                 // Its view-dependent colours are there already.
-                self.progress.sh_degree_start = self.config.sh_degree;
+                self.place.progress.sh_degree_start = self.run.config().sh_degree;
                 self.upload_new(cloud)?
             }
             Start::Checkpoint(checkpoint) => self.restore(*checkpoint)?,
@@ -112,10 +124,10 @@ impl<'a> Trainer<'a> {
         self.observer.on_start(&StartLog {
             device: self.backend.describe(),
             gaussians: self.backend.gaussian_count(),
-            views: self.views.len(),
-            extent: self.extent,
+            views: self.run.views.len(),
+            extent: self.run.extent,
             iteration: cursor.iteration,
-            iterations: self.schedule.iterations,
+            iterations: self.run.schedule.iterations,
         });
         Ok(cursor)
     }
@@ -123,14 +135,14 @@ impl<'a> Trainer<'a> {
     /// What its owner should know of a run that is about to start.
     pub(crate) fn notices(&self, start: &Start) -> Result<Vec<String>, TrainError> {
         let depth = match start {
-            Start::Points(points) => median_depth(self.views.iter().map(|view| &view.camera), points),
+            Start::Points(points) => median_depth(self.run.views.iter().map(|view| &view.camera), points),
             Start::Cloud(_) | Start::Checkpoint(_) => None,
         };
-        let mut notices = notices::at_start(self.config, self.schedule, self.cap, self.extent, depth);
-        let on_virtual = |steps| notices::of_virtual_views(steps, self.views.len());
-        notices.extend(self.virtual_views.steps().map(on_virtual));
+        let mut notices = notices::at_start(self.run.schedule, self.run.cap, self.run.extent, depth);
+        let on_virtual = |steps| notices::of_virtual_views(steps, self.run.views.len());
+        notices.extend(self.visits.virtual_views.steps().map(on_virtual));
         if !matches!(start, Start::Checkpoint(_)) {
-            notices.extend(notices::of_white_surroundings(self.config.background, self.views)?);
+            notices.extend(notices::of_white_surroundings(self.run.config().background, self.run.views)?);
         }
         if let Start::Points(points) = start
             && points.len() > self.most_points()
@@ -145,17 +157,15 @@ impl<'a> Trainer<'a> {
 
     /// The user's limit holds from the first step on.
     fn most_points(&self) -> usize {
-        self.config.max_gaussians.unwrap_or(usize::MAX)
+        self.run.config().max_gaussians.unwrap_or(usize::MAX)
     }
 
     fn upload_seeds(&mut self, seeds: &Seeds) -> Result<Cursor, TrainError> {
-        let filter = self.schedule.has_filter_3d().then(|| filter_of(self.views, &seeds.positions()));
-        let is_mcmc = self.config.variant == Variant::Mcmc;
+        let method = self.run.schedule.method();
+        let filter = method.has_filter_3d().then(|| filter_of(self.run.views, &seeds.positions()));
         let part = |rows: Range<usize>| {
             let mut cloud = seeds.rows(rows.clone());
-            if is_mcmc {
-                mcmc::initialise(&mut cloud);
-            }
+            method.prepare(&mut cloud);
             cloud.filter_3d = filter.as_ref().map(|filter| filter[rows].to_vec());
             cloud
         };
@@ -169,52 +179,53 @@ impl<'a> Trainer<'a> {
         }
         let own_filter = cloud.filter_3d.take();
         cloud.filter_3d = self
+            .run
             .schedule
+            .method()
             .has_filter_3d()
-            .then(|| own_filter.unwrap_or_else(|| filter_of(self.views, &cloud.positions)));
+            .then(|| own_filter.unwrap_or_else(|| filter_of(self.run.views, &cloud.positions)));
         self.backend.upload(cloud.into())?;
         Ok(Cursor::start_of(1))
     }
 
     fn restore(&mut self, checkpoint: Checkpoint) -> Result<Cursor, TrainError> {
-        if checkpoint.state.cloud.filter_3d.is_some() != self.schedule.has_filter_3d() {
-            return Err(TrainError::OtherVariant { wanted: self.config.variant });
+        if checkpoint.state.cloud.filter_3d.is_some() != self.run.schedule.method().has_filter_3d() {
+            return Err(TrainError::OtherMethod { wanted: self.run.config().method.name });
         }
-        if !self.virtual_views.restore(checkpoint.virtual_pictures) {
+        if !self.visits.virtual_views.restore(checkpoint.virtual_pictures) {
             return Err(TrainError::OtherPhotos);
         }
-        if self.virtual_views.are_shown() {
-            self.backend.set_views(&self.virtual_views.after(self.views))?;
+        if self.visits.virtual_views.are_shown() {
+            self.backend.set_views(&self.visits.virtual_views.after(self.run.views))?;
         }
         self.backend.upload(checkpoint.state)?;
-        self.progress = checkpoint.progress;
-        self.has_seen = checkpoint.cursor.iteration > 1;
-        self.trial = checkpoint.trial;
-        self.cap_noticed = self.cap.get().is_some_and(|cap| self.backend.gaussian_count() >= cap);
+        self.place.progress = checkpoint.progress;
+        self.told.has_seen = checkpoint.cursor.iteration > 1;
+        self.told.cap = self.run.cap.get().is_some_and(|cap| self.backend.gaussian_count() >= cap);
         Ok(checkpoint.cursor)
     }
 
     /// All that it takes to go on from `cursor` later.
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
-        let (progress, trial, state) = (self.progress.clone(), self.trial, self.backend.state()?);
-        let virtual_pictures = self.virtual_views.pictures().to_vec();
-        Ok(Box::new(Checkpoint { cursor, progress, state, trial, virtual_pictures }))
+        let (progress, state) = (self.place.progress.clone(), self.backend.state()?);
+        let virtual_pictures = self.visits.virtual_views.pictures().to_vec();
+        Ok(Box::new(Checkpoint { cursor, progress, state, virtual_pictures }))
     }
 
     /// The same, where the cloud is finite.
     pub(crate) fn capture_finite(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
         let checkpoint = self.capture(cursor)?;
-        check_finite(&checkpoint.state.cloud, self.progress.steps)?;
+        check_finite(&checkpoint.state.cloud, self.place.progress.steps)?;
         Ok(checkpoint)
     }
 
     /// The end of iteration `i`: a checkpoint where one is due, and renders for the observer where it wants some.
-    pub(crate) fn hand_out(&mut self, i: u32) -> Result<(), TrainError> {
+    pub(crate) fn end_iteration(&mut self, i: u32) -> Result<(), TrainError> {
         let wants_renders = self.observer.wants_renders(i);
-        if self.schedule.is_checkpoint(i) || wants_renders {
+        if self.run.schedule.is_checkpoint(i) || wants_renders {
             self.wait_for_steps()?;
         }
-        if self.schedule.is_checkpoint(i) {
+        if self.run.schedule.is_checkpoint(i) {
             let checkpoint = self.capture_finite(Cursor::start_of(i + 1))?;
             self.observer.on_checkpoint(*checkpoint);
         }
@@ -239,13 +250,13 @@ impl<'a> Trainer<'a> {
             }
             Ok(cloud) => cloud,
         };
-        let progress = self.progress;
+        let progress = self.place.progress;
         let summary = RunSummary {
-            iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
+            iterations: checkpoint.as_ref().map_or(self.run.schedule.iterations, |c| c.cursor.iteration - 1),
             gaussians: self.backend.gaussian_count(),
             optimiser_steps: progress.steps,
             opacity_steps: progress.opacity_steps,
-            extent: self.extent,
+            extent: self.run.extent,
             seconds: progress.seconds,
             stages: progress.stages,
             interrupted: checkpoint.is_some(),
@@ -253,15 +264,13 @@ impl<'a> Trainer<'a> {
         Ok(Outcome { cloud, summary, checkpoint })
     }
 
-    /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state
-    /// before the trial where that has the higher guard PSNR; a resumed run goes on with the trial.
+    /// The cloud, which the device holds, too.
     fn best_so_far(&mut self, is_over: bool) -> Result<Gaussians, TrainError> {
         if is_over {
             self.backend.end_training()?;
         }
-        self.judge_open_trial()?;
         let cloud = self.backend.copy()?;
-        check_finite(&cloud, self.progress.steps)?;
+        check_finite(&cloud, self.place.progress.steps)?;
         Ok(cloud)
     }
 
@@ -275,12 +284,12 @@ impl<'a> Trainer<'a> {
         let genes = self.backend.genes()?;
         if !genes.as_flattened().iter().all(|gene| gene.is_finite()) {
             // Names the row and the parameter.
-            check_finite(&*self.backend.download()?, self.progress.steps)?;
+            check_finite(&*self.backend.download()?, self.place.progress.steps)?;
         }
         Ok(genes)
     }
 
-    /// Work may be queued on the device; the clock of the next phase must not pay for it.
+    /// Work may be queued on the device; the clock of the next event must not pay for it.
     pub(crate) fn wait_for_device(&mut self) -> Result<(), TrainError> {
         self.backend.report()?;
         Ok(())
@@ -291,28 +300,13 @@ impl<'a> Trainer<'a> {
         if !step.moves() {
             return None;
         }
-        let (rates, counted) = (self.rates(i), self.progress.steps + 1);
+        let (rates, counted) = (self.rates(i), self.place.progress.steps + 1);
         let opacity = step == OptimiserStep::All;
         Some(Update {
             rates,
             step: counted,
-            opacity_step: if opacity { self.progress.opacity_steps + 1 } else { 0 },
-            mcmc: self.mcmc_step(rates.position, counted),
-        })
-    }
-
-    /// MCMC's part of a step.
-    fn mcmc_step(&self, position_rate: f32, counter: u32) -> Option<McmcStep> {
-        let (mcmc, unit) = (&self.config.mcmc, unit_of(self.extent) as f32);
-        // Each of a step's views brings its own regularisers, as in the published loss.
-        let views = self.config.views_per_step as f32;
-        (self.config.variant == Variant::Mcmc).then_some(McmcStep {
-            // It is multiplied by a covariance.
-            noise_scale: position_rate * mcmc.noise / (unit * unit),
-            opacity_weight: views * mcmc.opacity_weight,
-            scale_weight: views * mcmc.scale_weight / unit,
-            rng: self.rng,
-            counter,
+            opacity_step: if opacity { self.place.progress.opacity_steps + 1 } else { 0 },
+            mcmc: self.run.schedule.method().beside_the_step(self, &rates, counted),
         })
     }
 
@@ -326,9 +320,9 @@ impl<'a> Trainer<'a> {
         step: OptimiserStep,
         statistics: StatisticsRequest,
     ) -> Result<(), TrainError> {
-        let background = match self.config.background {
-            Background::Random if view < self.views.len() => {
-                let draw = self.rng.at(Stream::Background, i, extra, 0);
+        let background = match self.run.config().background {
+            Background::Random if view < self.run.views.len() => {
+                let draw = self.run.rng.at(Stream::Background, i, extra, 0);
                 std::array::from_fn(|channel| draw.uniform(channel))
             }
             fixed => fixed.fixed_colour(),
@@ -336,36 +330,36 @@ impl<'a> Trainer<'a> {
         let settings = RenderSettings { background, ..self.settings(i) };
         let (update, keeps_gradients) = (self.update(i, step), step == OptimiserStep::Later);
         self.backend.train_step(&TrainStep { view, settings, update, keeps_gradients, statistics })?;
-        self.progress.count(step);
+        self.place.progress.count(step);
         Ok(())
     }
 
     /// How the cloud is rendered in iteration `i`, by whoever looks at it; a step may have a background of its own.
     pub(crate) fn settings(&self, i: u32) -> RenderSettings {
-        self.config.render_settings(self.sh_degree(i))
+        self.run.config().render_settings(self.sh_degree(i))
     }
 
     /// Active degree of the spherical harmonics in iteration `i`.
     pub(crate) fn sh_degree(&self, i: u32) -> u8 {
-        self.schedule.sh_degree(i).max(self.progress.sh_degree_start)
+        self.run.schedule.sh_degree(i).max(self.place.progress.sh_degree_start)
     }
 
     pub(crate) fn rates(&self, i: u32) -> LearningRates {
-        self.schedule.rates(self.extent, i)
+        self.run.schedule.rates(self.run.extent, i)
     }
 
-    /// Does a part of a phase's work on the clock of gradients or of evolution, whichever the phase belongs to.
-    pub(crate) fn on_the_clock<T>(
+    /// Does an event's work on the clock of gradients or of evolution, whichever it belongs to.
+    pub(crate) fn timed<T>(
         &mut self,
-        phase: Phase,
+        event: Event,
         work: impl FnOnce(&mut Self) -> Result<T, TrainError>,
     ) -> Result<T, TrainError> {
         let clock = Instant::now();
         let done = work(self)?;
-        self.is_mid_change = false;
+        self.place.is_mid_change = false;
         let seconds = clock.elapsed().as_secs_f64();
-        let Seconds { gradient, evolution } = &mut self.progress.seconds;
-        *(if phase.is_evolution() { evolution } else { gradient }) += seconds;
+        let Seconds { gradient, evolution } = &mut self.place.progress.seconds;
+        *(if event.is_evolution() { evolution } else { gradient }) += seconds;
         Ok(done)
     }
 
@@ -373,7 +367,7 @@ impl<'a> Trainer<'a> {
     pub(crate) fn wait_for_steps(&mut self) -> Result<(), TrainError> {
         let clock = Instant::now();
         self.wait_for_device()?;
-        self.progress.seconds.gradient += clock.elapsed().as_secs_f64();
+        self.place.progress.seconds.gradient += clock.elapsed().as_secs_f64();
         Ok(())
     }
 }

@@ -12,7 +12,8 @@ use genesplat_core::memory::ensure_memory;
 use genesplat_core::{Backend, BackendError, Camera, Image, Photo, RenderSettings, Rng, Stream, View};
 
 use super::views::ViewOrder;
-use crate::schedule::{Schedule, VirtualSteps, Visit};
+use crate::schedule::Schedule;
+use crate::timeline::{VirtualSteps, Visit};
 
 /// Each photo has one with so many of its neighbours.
 const NEIGHBOURS: usize = 2;

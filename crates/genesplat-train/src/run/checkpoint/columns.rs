@@ -4,14 +4,13 @@ use std::io::{self, Read, Write};
 use std::ops::Range;
 use std::sync::Arc;
 
-use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Snapshot, StateMean, Statistics};
+use genesplat_core::{DeviceState, Gaussians, Moments, Photo, StateMean, Statistics};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::CheckpointError;
 use super::joint::JointWriter;
 use super::summed::Summed;
-use crate::run::observe::StageRecord;
 
 /// Floats or numbers that are written or read at once.
 const PIECE: usize = 1 << 18;
@@ -69,21 +68,12 @@ impl<W: Write> JointWriter<'_, W> {
         self.numbers(&statistics.gene_views)
     }
 
-    /// All but the snapshot.
     pub(super) fn state(&mut self, state: &DeviceState) -> io::Result<()> {
         self.cloud(&state.cloud)?;
         self.moments(&state.moments)?;
         self.statistics(&state.statistics)?;
         self.value(&state.mean.states());
         self.cloud(state.mean.mean())
-    }
-
-    pub(super) fn trial(&mut self, trial: Option<(&StageRecord, &Snapshot)>) -> io::Result<()> {
-        self.value(&trial.is_some());
-        let Some((record, snapshot)) = trial else { return Ok(()) };
-        self.value(record);
-        self.cloud(&snapshot.cloud)?;
-        self.moments(&snapshot.moments)
     }
 
     pub(super) fn pictures(&mut self, pictures: &[Arc<Photo>]) {
@@ -168,13 +158,6 @@ impl<R: Read> ColumnReader<'_, R> {
         let (cloud, moments, statistics) = (self.cloud()?, self.moments()?, self.statistics()?);
         let mean = StateMean::new(self.value()?, self.cloud()?);
         Ok(DeviceState { cloud, moments, statistics, mean, snapshot: None })
-    }
-
-    pub(super) fn trial(&mut self) -> Result<Option<(StageRecord, Snapshot)>, CheckpointError> {
-        if !self.value::<bool>()? {
-            return Ok(None);
-        }
-        Ok(Some((self.value()?, Snapshot { cloud: self.cloud()?, moments: self.moments()? })))
     }
 
     pub(super) fn pictures(&mut self) -> Result<Vec<Arc<Photo>>, CheckpointError> {

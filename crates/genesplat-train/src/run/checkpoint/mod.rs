@@ -9,12 +9,13 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
-use genesplat_core::{Alone, DeviceState, Photo, RowOwners, Snapshot};
+use genesplat_core::{Alone, DeviceState, Photo, RowOwners};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
 use super::observe::StageRecord;
-use crate::schedule::{OptimiserStep, Phase};
+use crate::optimiser_step::OptimiserStep;
+use crate::timeline::Event;
 use columns::ColumnReader;
 pub use joint::JointWriter;
 use summed::Summed;
@@ -24,21 +25,21 @@ mod joint;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x0c";
+const MAGIC: [u8; 8] = *b"GSPLATC\x0d";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cursor {
     /// Counted from 1.
     pub iteration: u32,
-    /// Phases of this iteration before it are done.
-    pub phase: Phase,
+    /// Events of this iteration before it are done.
+    pub event: Event,
 }
 
 impl Cursor {
     /// The beginning of an iteration.
     pub fn start_of(iteration: u32) -> Self {
-        Self { iteration, phase: Phase::Step }
+        Self { iteration, event: Event::Step }
     }
 }
 
@@ -80,8 +81,6 @@ pub struct Checkpoint {
     pub progress: Progress,
     /// What the device held.
     pub state: DeviceState,
-    /// What is reported of the renewal on trial, if there is one; the state before it is the snapshot in `state`.
-    pub trial: Option<StageRecord>,
     /// What the virtual views show; none before they were looked at.
     pub virtual_pictures: Vec<Arc<Photo>>,
 }
@@ -104,11 +103,7 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
-    /// Writes the checkpoint; wrap files in a `BufWriter`. A snapshot that no trial goes back to is left out.
-    ///
-    /// # Panics
-    ///
-    /// Where a trial has no snapshot.
+    /// Writes the checkpoint; wrap files in a `BufWriter`.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
         self.write_together(writer, &Alone)
     }
@@ -120,8 +115,6 @@ impl Checkpoint {
         out.value(&self.cursor);
         out.value(&self.progress);
         out.state(&self.state)?;
-        let snapshot = || self.state.snapshot.as_ref().expect("a trial has a snapshot to go back to");
-        out.trial(self.trial.as_ref().map(|record| (record, snapshot())))?;
         out.pictures(&self.virtual_pictures);
         let Summed { mut inner, sum, .. } = out.finish()?;
         inner.write_all(&sum.to_le_bytes())?;
@@ -144,9 +137,8 @@ impl Checkpoint {
         }
         let (cursor, progress) = (columns.value()?, columns.value()?);
         let state = columns.state()?;
-        let (trial, snapshot) = columns.trial()?.unzip();
         let virtual_pictures = columns.pictures()?;
-        let checkpoint = Self { cursor, progress, state: DeviceState { snapshot, ..state }, trial, virtual_pictures };
+        let checkpoint = Self { cursor, progress, state, virtual_pictures };
         let (mut sum, Summed { mut inner, sum: expected, .. }) = ([0; 8], columns.input);
         inner.read_exact(&mut sum)?;
         if u64::from_le_bytes(sum) != expected {
@@ -163,7 +155,7 @@ impl Checkpoint {
         if self.progress.sh_degree_start > SH_DEGREE_MAX {
             return Err(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"));
         }
-        let DeviceState { cloud, moments, statistics, mean, snapshot } = &self.state;
+        let DeviceState { cloud, moments, statistics, mean, .. } = &self.state;
         let n = cloud.len();
         let genes = [statistics.gene_gradient_sum.len(), statistics.gene_views.len()];
         let consistent = cloud.is_consistent()
@@ -171,17 +163,10 @@ impl Checkpoint {
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
-            && self.trial.is_none_or(|record| record.guard_psnr.is_some())
-            && snapshot.as_ref().is_none_or(is_consistent)
             && mean.mean().is_consistent()
             && [0, n].contains(&mean.mean().len());
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
-}
-
-/// All columns have the same number of rows.
-fn is_consistent(snapshot: &Snapshot) -> bool {
-    snapshot.cloud.is_consistent() && snapshot.moments.is_consistent(snapshot.cloud.len())
 }
 
 #[cfg(test)]
@@ -201,7 +186,7 @@ mod tests {
         moments.pending = Moments::column(3);
         moments.pending.sh[1][4] = 0.5;
         let stage = StageRecord {
-            kind: StageKind::Renewal,
+            kind: StageKind::Genetic,
             iteration: 3000,
             generations: 101,
             renders: 54_606,
@@ -213,7 +198,7 @@ mod tests {
             seconds: 1.5,
         };
         Checkpoint {
-            cursor: Cursor { iteration: 6000, phase: Phase::Evolve },
+            cursor: Cursor { iteration: 6000, event: Event::Search },
             progress: Progress {
                 sh_degree_start: 2,
                 steps: 5945,
@@ -232,9 +217,8 @@ mod tests {
                     gene_views: vec![7, 8, 9],
                 },
                 mean: StateMean::new(4, Gaussians::zeros(3)),
-                snapshot: Some(Snapshot { cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
+                snapshot: None,
             },
-            trial: Some(stage),
             virtual_pictures: (0..2).map(|_| Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() })).collect(),
         }
     }
@@ -250,7 +234,6 @@ mod tests {
         let mut checkpoint = example();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
         checkpoint.state.cloud.filter_3d = None;
-        (checkpoint.trial, checkpoint.state.snapshot) = (None, None);
         checkpoint.virtual_pictures.clear();
         checkpoint.state.statistics.gene_gradient_sum.clear();
         checkpoint.state.statistics.gene_views.clear();
@@ -276,7 +259,7 @@ mod tests {
         cloud.append(rest.state.cloud);
         assert_eq!(cloud, checkpoint.state.cloud);
         assert_eq!([first.state.statistics.gene_views, rest.state.statistics.gene_views].concat(), [7, 8, 9]);
-        assert_eq!((rest.state.moments.pending.sh[0][4], rest.state.snapshot.unwrap().cloud.len()), (0.5, 1));
+        assert_eq!(rest.state.moments.pending.sh[0][4], 0.5);
         let none = read(&|_| 0..0);
         assert_eq!((none.cursor, &none.progress), (checkpoint.cursor, &checkpoint.progress));
         assert_eq!((none.state.cloud.len(), none.state.cloud.filter_3d), (0, Some(Vec::new())));
@@ -307,14 +290,13 @@ mod tests {
 
     #[test]
     fn columns_must_agree() {
-        let spoil: [fn(&mut Checkpoint); 8] = [
+        let spoil: [fn(&mut Checkpoint); 7] = [
             |checkpoint| _ = checkpoint.state.statistics.weight_sum.pop(),
             |checkpoint| _ = checkpoint.state.statistics.absolute_sum.pop(),
             |checkpoint| _ = checkpoint.state.statistics.gene_views.pop(),
             |checkpoint| _ = checkpoint.state.cloud.sh.pop(),
             |checkpoint| _ = checkpoint.state.moments.second.rotations.pop(),
             |checkpoint| _ = checkpoint.state.moments.pending.positions.pop(),
-            |checkpoint| _ = checkpoint.state.snapshot.as_mut().unwrap().cloud.log_scales.pop(),
             |checkpoint| {
                 let mut mean = Gaussians::zeros(3);
                 mean.sh.pop();

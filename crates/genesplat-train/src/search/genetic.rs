@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, SparseDelta, Statistics};
-use genesplat_evolve::{GeneGradients, GeneticAlgorithm, Signals};
+use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
 
 use super::Stage;
 use super::fitness::Fitness;
@@ -25,16 +25,14 @@ pub(crate) struct GeneticSearch {
 
 impl Stage for GeneticSearch {
     fn begin(trainer: &mut Trainer, i: u32) -> Result<(Self, StageRecord), TrainError> {
-        let (begun, fitness, evolution) = (Instant::now(), trainer.fitness(i), &trainer.config.evolution);
+        let (begun, fitness) = (Instant::now(), trainer.fitness(i));
         let of_base = trainer.fitness_of_base(&fitness, i)?;
         let base = trainer.backend.genes()?;
-        let (config, rng) = (evolution.paper.clone(), trainer.rng.fork(i));
+        let config = trainer.run.config().genetic.clone().unwrap_or_default();
         let gradients = if config.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
-        let errors = if config.uses_errors() { Some(trainer.errors(&fitness)?) } else { None };
-        let passes = 1 + u64::from(errors.is_some());
-        let algorithm = GeneticAlgorithm::new(config, base, Signals { gradients, errors }, of_base, rng)?;
-        let renders = passes * fitness.views.len() as u64;
-        let record = StageRecord { renders, ..StageRecord::begun(StageKind::Paper, i, of_base, None) };
+        let algorithm = GeneticAlgorithm::new(config, base, gradients, of_base, trainer.run.rng.fork(i))?;
+        let renders = fitness.views.len() as u64;
+        let record = StageRecord { renders, ..StageRecord::begun(StageKind::Genetic, i, of_base, None) };
         Ok((Self { begun, fitness, algorithm }, record))
     }
 
@@ -72,11 +70,11 @@ impl Stage for GeneticSearch {
 
     fn finish(self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
         if let Some(better) = self.algorithm.best() {
-            trainer.backend.apply(better, trainer.config.evolution.moments)?;
+            trainer.backend.apply(better, MomentPolicy::Keep)?;
             record.changed = better.rows.len();
         }
         // The next stage sums them anew.
-        if trainer.config.evolution.paper.uses_gradients() {
+        if self.algorithm.config().uses_gradients() {
             trainer.backend.clear_gene_gradients();
         }
         Ok(())

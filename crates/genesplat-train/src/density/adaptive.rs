@@ -9,6 +9,7 @@
 
 use genesplat_core::edit::new_log_scale;
 use genesplat_core::gaussians::sigmoid;
+use genesplat_core::genes::{log_scales, opacity_logit};
 use genesplat_core::{Genes, Origin, Rng, RowEdit, Statistics};
 
 use super::Plan;
@@ -18,9 +19,6 @@ use super::Plan;
 pub(crate) struct Rules {
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates.
     pub(crate) gradient_threshold: f32,
-    /// As many Gaussians again may grow for their absolute gradient as reach that threshold (`absolute_threshold`,
-    /// below).
-    pub(crate) or_absolute: bool,
     /// Growing Gaussians up to this size are cloned, larger ones split; longest axis, world units.
     pub(crate) clone_size_max: f32,
     /// Gaussians fainter than this are pruned.
@@ -42,10 +40,8 @@ enum Growth {
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
 pub(crate) fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
-    let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
-    let mut growth: Vec<Growth> =
-        (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();
-    let refused = refuse_beyond_cap(&mut growth, statistics, rules, absolute);
+    let mut growth: Vec<Growth> = (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, row)).collect();
+    let refused = refuse_beyond_cap(&mut growth, statistics, rules);
     let mut edit = grow(&growth, rng, iteration);
     let grown_to = edit.sources.len();
     let prune_size = rules.prune_size.filter(|_| refused == 0);
@@ -60,54 +56,24 @@ pub(crate) fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng:
     }
 }
 
-/// The absolute gradient from which Gaussians grow, too (Gaussian Opacity Fields): the quantile above which lies the
-/// same fraction of the cloud as reaches `gradient_threshold`, interpolated linearly. Never less than one row.
-fn absolute_threshold(statistics: &Statistics, gradient_threshold: f32) -> f32 {
-    let n = statistics.weight_sum.len();
-    let mut sorted: Vec<f32> = (0..n).map(|row| statistics.mean_absolute(row)).collect();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let reaching = (0..n).filter(|&row| statistics.mean_gradient(row) >= gradient_threshold).count();
-    let rank = (n - reaching) as f64 / n.max(1) as f64 * n.saturating_sub(1) as f64;
-    let at = |rank: f64| sorted.get(rank as usize).copied().unwrap_or(f32::INFINITY);
-    at(rank.floor()) + (at(rank.ceil()) - at(rank.floor())) * rank.fract() as f32
-}
-
-fn wanted_growth(
-    statistics: &Statistics,
-    genes: &[Genes],
-    rules: &Rules,
-    absolute_threshold: Option<f32>,
-    row: usize,
-) -> Growth {
-    let grows = statistics.mean_gradient(row) >= rules.gradient_threshold
-        || absolute_threshold.is_some_and(|threshold| statistics.mean_absolute(row) >= threshold);
-    match (grows, size(log_scale(&genes[row])) <= rules.clone_size_max) {
+fn wanted_growth(statistics: &Statistics, genes: &[Genes], rules: &Rules, row: usize) -> Growth {
+    let grows = statistics.mean_gradient(row) >= rules.gradient_threshold;
+    match (grows, size(log_scales(&genes[row])) <= rules.clone_size_max) {
         (false, _) => Growth::None,
         (true, true) => Growth::Clone,
         (true, false) => Growth::Split,
     }
 }
 
-/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients go first, by what each is
-/// above its threshold; equal ones in row order. Returns how many were turned away.
-fn refuse_beyond_cap(
-    growth: &mut [Growth],
-    statistics: &Statistics,
-    rules: &Rules,
-    absolute_threshold: Option<f32>,
-) -> usize {
-    let strength = |row: usize| {
-        let absolute = absolute_threshold.filter(|&threshold| threshold > 0.0);
-        let above = absolute.map_or(0.0, |threshold| statistics.mean_absolute(row) / threshold);
-        statistics.mean_gradient(row).max(above * rules.gradient_threshold)
-    };
-    let (cap, rows) = (rules.cap, growth.len());
-    let free = cap.map_or(usize::MAX, |cap| cap.saturating_sub(rows));
-    let mut growing: Vec<usize> = (0..rows).filter(|&row| growth[row] != Growth::None).collect();
+/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients go first, equal ones in row
+/// order. Returns how many were turned away.
+fn refuse_beyond_cap(growth: &mut [Growth], statistics: &Statistics, rules: &Rules) -> usize {
+    let free = rules.cap.map_or(usize::MAX, |cap| cap.saturating_sub(growth.len()));
+    let mut growing: Vec<usize> = (0..growth.len()).filter(|&row| growth[row] != Growth::None).collect();
     if growing.len() <= free {
         return 0;
     }
-    growing.sort_by(|&a, &b| strength(b).total_cmp(&strength(a)));
+    growing.sort_by(|&a, &b| statistics.mean_gradient(b).total_cmp(&statistics.mean_gradient(a)));
     for &row in &growing[free..] {
         growth[row] = Growth::None;
     }
@@ -133,17 +99,13 @@ fn prune(edit: &mut RowEdit, genes: &[Genes], prune_opacity: f32, prune_size: Op
     let (sources, origins) = (std::mem::take(&mut edit.sources), std::mem::take(&mut edit.origins));
     for (source, origin) in sources.into_iter().zip(origins) {
         let row = source as usize;
-        let opacity_logit = genes[row][6];
+        let opacity_logit = opacity_logit(&genes[row]);
         let faint = sigmoid(opacity_logit) < prune_opacity;
-        let new_size = size(new_log_scale(log_scale(&genes[row]), opacity_logit, origin));
+        let new_size = size(new_log_scale(log_scales(&genes[row]), opacity_logit, origin));
         if !faint && prune_size.is_none_or(|limit| new_size <= limit) {
             edit.push(source, origin);
         }
     }
-}
-
-fn log_scale(&[_, _, _, x, y, z, _]: &Genes) -> [f32; 3] {
-    [x, y, z]
 }
 
 /// Standard deviation along the longest axis, world units.
@@ -163,7 +125,6 @@ mod tests {
 
     const RULES: Rules = Rules {
         gradient_threshold: 2e-4,
-        or_absolute: false,
         clone_size_max: 0.1,
         prune_opacity: 0.005,
         prune_size: Some(1.0),
@@ -227,7 +188,7 @@ mod tests {
         statistics.gradient_sum = vec![4.0 * 2e-4, 4.0 * 1.999e-4];
         let plan = decide(&statistics, &genes, &RULES, 600);
         assert_eq!((plan.cloned, plan.split), (0, 1), "a mean of exactly the threshold grows");
-        let exactly = Rules { clone_size_max: size(log_scale(&genes[0])), ..RULES };
+        let exactly = Rules { clone_size_max: size(log_scales(&genes[0])), ..RULES };
         let plan = decide(&statistics, &genes, &exactly, 600);
         assert_eq!((plan.cloned, plan.split), (1, 0), "a size of exactly the limit is cloned");
     }
@@ -257,32 +218,6 @@ mod tests {
         let capped = |cap| decide(&statistics, &genes, &Rules { cap: Some(cap), ..RULES }, 3100);
         assert_eq!(rows(&capped(3)), [(0, KEPT), (1, KEPT), (2, KEPT)], "no room: nothing would fill their place");
         assert_eq!(rows(&capped(5)), [(0, FIRST), (0, SECOND), (1, FIRST), (1, SECOND)], "room for all");
-    }
-
-    #[test]
-    fn with_gof_as_many_rows_again_may_grow_for_their_absolute_gradient() {
-        let (mut statistics, genes) = scene(&[
-            (3e-4, 0.5, 0.5), // splits for its signed gradient, though its absolute one is small
-            (1e-4, 0.5, 0.5), // splits for its absolute one
-            (1e-4, 0.05, 0.5),
-            (0.0, 0.05, 0.5),
-            (0.0, 0.05, 0.5),
-        ]);
-        statistics.absolute_sum = [5.0, 9.0, 8.0, 1.0, 2.0].map(|mean| 4.0 * mean).to_vec();
-        // One of five reaches the threshold. Rank 4/5 · 4 = 3.2 of (1, 2, 5, 8, 9) is 8.2.
-        assert!((absolute_threshold(&statistics, RULES.gradient_threshold) - 8.2).abs() < 1e-6);
-        let gof = Rules { or_absolute: true, ..RULES };
-        let found = decide(&statistics, &genes, &gof, 600);
-        assert_eq!((found.cloned, found.split), (0, 2));
-        assert_eq!(found.edit.sources, [0, 0, 1, 1, 2, 3, 4]);
-        assert_eq!(decide(&statistics, &genes, &RULES, 600).split, 1, "only where it is asked for");
-        // Where no row reaches the threshold, the quantile is the maximum, and that row grows, as published.
-        let high = Rules { gradient_threshold: 1.0, ..gof };
-        assert_eq!(decide(&statistics, &genes, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
-        assert!(decide(&Statistics::default(), &[], &gof, 600).edit.sources.is_empty());
-        // Room for one: row 0 is 1.03 times its threshold, row 1 1.10 times.
-        let capped = Rules { gradient_threshold: 2.9e-4, cap: Some(6), ..gof };
-        assert_eq!(decide(&statistics, &genes, &capped, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
     }
 
     #[test]

@@ -3,15 +3,18 @@
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{EvolutionBackend, Gaussians, StatisticsRequest, View};
+use genesplat_evolve::GeneticConfig;
 
 use super::GeneticSearch;
+use crate::optimiser_step::OptimiserStep;
 use crate::run::checkpoint::Cursor;
 use crate::run::observe::Observer;
 use crate::run::trainer::Trainer;
 use crate::run::{Outcome, Start, TrainError};
-use crate::schedule::{OptimiserStep, Phase, Schedule};
+use crate::schedule::Schedule;
+use crate::timeline::Event;
 
-/// One search of `evolution.paper` on a finished cloud from any trainer, without gradient steps.
+/// One genetic search on a finished cloud from any trainer, without gradient steps; `schedule` has its settings.
 ///
 /// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped
 /// returns the best it has; there is nothing to resume.
@@ -26,7 +29,7 @@ pub fn search(
     let mut trainer = Trainer::new(backend, views, schedule, observer, stop)?;
     trainer.begin(Start::Cloud(cloud))?;
     let last = schedule.finished_iteration();
-    if schedule.config().evolution.paper.uses_gradients() {
+    if schedule.config().genetic.as_ref().is_some_and(GeneticConfig::uses_gradients) {
         let genes = StatisticsRequest { density: None, genes: true };
         for view in 0..views.len() {
             trainer.train_step(view, last, 0, OptimiserStep::Lost, genes)?;
@@ -37,8 +40,8 @@ pub fn search(
         }
     }
     trainer.wait_for_steps()?;
-    trainer.cursor = Cursor { iteration: last, phase: Phase::Evolve };
-    let checkpoint = trainer.on_the_clock(Phase::Evolve, |trainer| trainer.run_stage::<GeneticSearch>())?;
+    trainer.place.cursor = Cursor { iteration: last, event: Event::Search };
+    let checkpoint = trainer.timed(Event::Search, |trainer| trainer.run_stage::<GeneticSearch>())?;
     let mut outcome = trainer.finish(None)?;
     (outcome.summary.interrupted, outcome.summary.iterations) = (checkpoint.is_some(), 0);
     Ok(outcome)

@@ -2,8 +2,7 @@
 
 use genesplat_core::View;
 
-use crate::config::{DensityControl, EvolutionMode, TrainConfig};
-use crate::densify::{improved, mcmc};
+use crate::config::TrainConfig;
 
 /// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same things.
 const PIXELS: f64 = 2.0;
@@ -22,20 +21,15 @@ pub(crate) struct Cap {
     asked: Option<usize>,
     /// The published limit of the density control, where it has one.
     published: Option<usize>,
-    /// What the photos can determine, with `evolution.renewal.capacity`: with more, a cloud learns photos by heart.
+    /// What the photos can determine, with the method's `capacity`: with more, a cloud learns photos by heart.
     from_photos: Option<usize>,
 }
 
 impl Cap {
     pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
-        let published = match config.density_control() {
-            DensityControl::Mcmc => Some(mcmc::DEFAULT_CAP),
-            DensityControl::ImprovedGs => Some(improved::DEFAULT_CAP),
-            DensityControl::Adaptive => None,
-        };
-        let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);
-        let is_limited = mode == EvolutionMode::Renew && capacity > 0.0;
-        let from_photos = is_limited.then(|| cap_from_photos(views, capacity));
+        let (method, capacity) = (config.method.name.method(), config.method.capacity);
+        let from_photos = (capacity > 0.0).then(|| cap_from_photos(views, capacity));
+        let published = method.published_cap();
         Self { asked: config.max_gaussians, published, from_photos }
     }
 
@@ -52,7 +46,7 @@ impl Cap {
             let beside = self.asked.map_or(String::new(), |asked| format!(", and not to the limit of {asked}"));
             format!(
                 "the cloud grows no further than {from_photos} Gaussians, which is what the photos can determine \
-                 (evolution.renewal.capacity){beside}"
+                 (method.capacity){beside}"
             )
         })
     }
@@ -61,7 +55,7 @@ impl Cap {
     /// follows.
     pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
         let is_from_photos = self.from_photos == Some(cap) && self.asked != Some(cap);
-        let source = if is_from_photos { " from the photos (evolution.renewal.capacity)" } else { "" };
+        let source = if is_from_photos { " from the photos (method.capacity)" } else { "" };
         let rest = if is_last { "" } else { "; from now on there is only the room that pruning leaves" };
         format!("iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}")
     }
@@ -88,37 +82,36 @@ mod tests {
     use genesplat_core::{Camera, Mask, Photo, StoredPhoto};
 
     use super::*;
-    use crate::config::Variant;
+    use crate::method::MethodName;
 
     #[test]
     fn the_lower_of_the_limits_counts() {
         let camera = Camera::at_origin(30, 20, 1.0);
         let photo = Photo { width: 30, height: 20, rgb: vec![0; 1800] }.into();
         let views = vec![View { name: String::new(), camera, photo, mask: None }; 9];
-        let cap = |mode, variant, max_gaussians, capacity| {
-            let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::published() };
-            (config.evolution.mode, config.evolution.renewal.capacity) = (mode, capacity);
+        let of = |method, max_gaussians, capacity| {
+            let mut config = TrainConfig { max_gaussians, ..TrainConfig::of(method) };
+            config.method.capacity = capacity;
             Cap::new(&config, &views)
         };
-        let notice = |max_gaussians| cap(EvolutionMode::Renew, Variant::Mcmc, max_gaussians, 1.0).notice_of_lower_cap();
+        use MethodName::{Genesplat, ImprovedGs, Mcmc, PixelGs, ThreeDgs};
+        let notice = |max_gaussians| of(ImprovedGs, max_gaussians, 1.0).notice_of_lower_cap();
         assert!(notice(Some(1000)).unwrap().ends_with("and not to the limit of 1000"));
-        assert!(notice(None).unwrap().ends_with("(evolution.renewal.capacity)"), "nobody has set the published limit");
+        assert!(notice(None).unwrap().ends_with("(method.capacity)"), "nobody has set the published limit");
         assert_eq!(notice(Some(900)), None);
-        let cap = |mode, variant, max_gaussians, capacity| cap(mode, variant, max_gaussians, capacity).get();
-        let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
+        let cap = |method, max_gaussians, capacity| of(method, max_gaussians, capacity).get();
         // 9 · 600 pixels over 2 · √9, which is less than 600 over 0.3.
-        assert_eq!(cap(renew, Variant::ThreeDgs, None, 1.0), Some(900));
-        assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.5), Some(450));
-        assert_eq!(cap(renew, Variant::ThreeDgs, Some(500), 1.0), Some(500));
-        assert_eq!(cap(renew, Variant::Mcmc, None, 1.0), Some(900));
+        assert_eq!(cap(Genesplat, None, 1.0), Some(900));
+        assert_eq!(cap(Genesplat, None, 0.5), Some(450));
+        assert_eq!(cap(Genesplat, Some(500), 1.0), Some(500));
+        assert_eq!(cap(ImprovedGs, None, 1.0), Some(900));
         // The published limit is none where photos can determine more.
-        assert_eq!(cap(renew, Variant::ThreeDgs, None, 1e6), Some(900_000_000));
-        assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.0), Some(improved::DEFAULT_CAP));
-        assert_eq!(cap(renew, Variant::PixelGs, None, 0.0), None);
-        assert_eq!(cap(off, Variant::ThreeDgs, None, 1.0), None);
-        assert_eq!(cap(off, Variant::Mcmc, None, 1.0), Some(mcmc::DEFAULT_CAP));
-        assert_eq!(cap(off, Variant::ImprovedGs, None, 1.0), Some(1_000_000));
-        assert_eq!(cap(off, Variant::ImprovedGs, Some(7), 1.0), Some(7));
+        assert_eq!(cap(Genesplat, None, 1e6), Some(900_000_000));
+        assert_eq!(cap(Genesplat, None, 0.0), Some(1_000_000));
+        assert_eq!(cap(PixelGs, None, 0.0), None);
+        assert_eq!(cap(ThreeDgs, None, 1.0), Some(900));
+        assert_eq!(cap(Mcmc, None, 0.0), Some(1_000_000));
+        assert_eq!(cap(ImprovedGs, Some(7), 0.0), Some(7));
         let half = Arc::new(Mask { counts: (0..600).map(|pixel| pixel < 300).collect() });
         let masked: Vec<View> = views.iter().map(|view| View { mask: Some(half.clone()), ..view.clone() }).collect();
         assert_eq!(cap_from_photos(&masked, 1.0), 450, "what is hidden determines nothing");

@@ -1,4 +1,4 @@
-//! Guards: training views that decide whether the cloud keeps what a renewal made of it, and tell of averages.
+//! Guards: training views that decide whether the mean of the last states is kept.
 //!
 //! Gradient steps train on them as on all others, so a guard says that training got no worse, and nothing about photos
 //! that training never saw. Test photos take no part in anything.

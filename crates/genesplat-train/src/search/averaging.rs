@@ -1,4 +1,4 @@
-//! Weight averaging: at the end of each window, the mean of its states replaces the last one.
+//! Weight averaging: the mean of the last states replaces the last one.
 //!
 //! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is free of that
 //! noise. It may fit the training photos less than the last state does, and is better on others, so guards only refuse a
@@ -19,9 +19,9 @@ use crate::run::trainer::Trainer;
 const LAG_DB: f64 = 0.6;
 
 impl Trainer<'_> {
-    /// At the end of a window its mean takes the cloud's place, unless it lags behind; the next window averages anew.
+    /// The mean takes the cloud's place, unless it lags behind.
     pub(crate) fn take_mean(&mut self, i: u32) -> Result<(), TrainError> {
-        let (clock, guards) = (Instant::now(), guards(self.views, &self.rng.fork(i)));
+        let (clock, guards) = (Instant::now(), guards(self.run.views, &self.run.rng.fork(i)));
         let before = self.guard_score(Held::Cloud, &guards, i)?;
         let mut record = StageRecord::begun(StageKind::Averaging, i, before.loss, Some(before.psnr));
         record.population_bytes = (self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;

@@ -1,4 +1,4 @@
-//! Selection: Improved-GS's density control, and that of mode `renew`. It splits where photos have edges, along the longest
+//! Selection: Improved-GS's density control. It splits where photos have edges, along the longest
 //! axis, up to a budget, and removes what recovers slowly.
 //!
 //! A Gaussian whose absolute screen-space gradient reaches the threshold is a candidate. Of these, as many as the budget
@@ -10,20 +10,14 @@
 //! counted without them.
 
 use genesplat_core::gaussians::sigmoid;
+use genesplat_core::genes::opacity_logit;
 use genesplat_core::{
     BackendError, EvolutionBackend, Genes, Origin, RenderSettings, Rng, RowEdit, Statistics, Stream, View,
 };
 
 use super::Plan;
 use super::edges::edges;
-use crate::config::density::RECOVERED_OPACITY;
-use crate::run::TrainError;
-use crate::run::trainer::Trainer;
 use crate::scene::views::ViewOrder;
-use crate::schedule::SCORE_VIEWS;
-
-/// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
-pub(crate) const DEFAULT_CAP: usize = 1_000_000;
 
 /// Which streams the order of these views is drawn from.
 const SCORE_ORDER: u32 = u32::MAX;
@@ -31,12 +25,6 @@ const SCORE_ORDER: u32 = u32::MAX;
 /// Bytes of weights that are held at once, on the host and on the device, 128 MiB: half of the smallest limit that devices
 /// have for a buffer. Views are weighed in as few batches as that allows.
 const WEIGHTS_BYTES: usize = 128 << 20;
-
-/// Part of the cloud that is then pruned for having recovered slowly.
-const SLOW_FRACTION: f64 = 0.2;
-
-/// The threshold is divided by this once the budget is full: what was pruned is replaced by any that is somewhat wanted.
-const LATE_EASING: f32 = 1.5;
 
 /// Thresholds of one densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +71,7 @@ pub(crate) fn plan(
 
 /// Which rows go: all that are too faint, and at least the given part of the cloud; equally faint ones in row order.
 fn pruned(genes: &[Genes], rules: &Rules) -> Vec<bool> {
-    let opacity = |row: usize| genes[row][6];
+    let opacity = |row: usize| opacity_logit(&genes[row]);
     let mut pruned: Vec<bool> = (0..genes.len()).map(|row| sigmoid(opacity(row)) < rules.prune_opacity).collect();
     let slow = (rules.prune_fraction * genes.len() as f64) as usize;
     if slow > 0 {
@@ -111,42 +99,13 @@ fn draw(candidates: &[usize], scores: &[f32], room: usize, rng: Rng, iteration: 
     keyed.into_iter().take(room).map(|(_, row)| row).collect()
 }
 
-impl Trainer<'_> {
-    /// Decides the densification of iteration `i`.
-    pub(super) fn plan_improved(&mut self, i: u32) -> Result<Plan, TrainError> {
-        let (rules, statistics) = (self.improved_rules(i), self.backend.statistics()?);
-        let genes = self.finite_genes()?;
-        let scores = if self.schedule.is_budget_full(i) {
-            (0..genes.len()).map(|row| statistics.mean_gradient(row)).collect()
-        } else {
-            let (views, settings) = (self.score_views(i), self.settings(i));
-            edge_scores(self.backend, self.views, &views, &settings)?
-        };
-        Ok(plan(&statistics, &genes, &scores, &rules, self.rng, i))
+/// `wanted` of the training views, from the `first`-th of an order of their own on: in turn.
+pub(crate) fn views_of_turn(views: usize, wanted: usize, first: u32, rng: Rng) -> Vec<usize> {
+    if views <= wanted {
+        return (0..views).collect();
     }
-
-    fn improved_rules(&self, i: u32) -> Rules {
-        let (schedule, threshold) = (self.schedule, self.config.gradient_threshold());
-        let cap = self.cap.get().expect("Improved-GS always has a limit");
-        let prune_opacity = self.config.densify.prune_opacity;
-        Rules {
-            gradient_threshold: if schedule.is_budget_full(i) { threshold / LATE_EASING } else { threshold },
-            budget: (cap as f64 * schedule.budget(i)) as usize,
-            prune_opacity: if schedule.has_recovered(i) { prune_opacity.max(RECOVERED_OPACITY) } else { prune_opacity },
-            prune_fraction: if schedule.prunes_slow(i) { SLOW_FRACTION } else { 0.0 },
-        }
-    }
-
-    /// The views that have a say in iteration `i`: in turn, over orders of their own.
-    fn score_views(&self, i: u32) -> Vec<usize> {
-        let (views, wanted) = (self.views.len(), self.schedule.score_views(i));
-        if views <= wanted {
-            return (0..views).collect();
-        }
-        let mut order = ViewOrder::new(self.rng.fork(SCORE_ORDER), views);
-        let first = i / self.schedule.densify_every * SCORE_VIEWS as u32;
-        (first..first + wanted as u32).map(|visit| order.view(visit)).collect()
-    }
+    let mut order = ViewOrder::new(rng.fork(SCORE_ORDER), views);
+    (first..first + wanted as u32).map(|visit| order.view(visit)).collect()
 }
 
 /// How much each Gaussian stands for the edges of `shown`, which are some of the training views `[N]`: its blending weights

@@ -6,17 +6,12 @@
 //! Reference: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024, Eq. 9 and appendix;
 //! constants of gsplat.
 
-use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::gaussians::sigmoid;
+use genesplat_core::genes::opacity_logit;
 use genesplat_core::rng::Draw;
-use genesplat_core::{Gaussians, Genes, Origin, Rng, RowEdit, Stream};
+use genesplat_core::{Genes, Origin, Rng, RowEdit, Stream};
 
 use super::Plan;
-
-/// Gaussians at which growth ends, unless the configuration says otherwise.
-pub(crate) const DEFAULT_CAP: usize = 1_000_000;
-
-/// Gaussians not more opaque than this are dead, and are relocated.
-pub(crate) const MIN_OPACITY: f32 = 0.005;
 
 /// At most this many copies are accounted for where they share a place (the authors' kernel has a table of this size).
 const SHARERS_MAX: u32 = 51;
@@ -49,24 +44,12 @@ struct Row {
     changed: bool,
 }
 
-/// Opacity of the first Gaussians.
-pub(crate) const INITIAL_OPACITY: f32 = 0.5;
-
-/// Size of the first Gaussians, in distances to their neighbours.
-pub(crate) const INITIAL_SCALE: f32 = 0.1;
-
-/// MCMC starts from small, half-transparent Gaussians.
-pub(crate) fn initialise(cloud: &mut Gaussians) {
-    cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
-    cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += INITIAL_SCALE.ln());
-}
-
 /// Decides one event from the opacities in `genes` `[N, 7]`; `iteration` addresses the random draws.
 ///
 /// Copies lie beside the row that they are of. Relocated Gaussians and their targets lose their moments; added ones
 /// have none, and their targets keep theirs.
 pub(crate) fn plan(genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
-    let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, genes[6])).collect();
+    let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, opacity_logit(genes))).collect();
     let relocated = relocate(&mut rows, rules, &rng, iteration);
     let cloned = grow(&mut rows, rules, &rng, iteration);
     rows.sort_by_key(|row| row.source);

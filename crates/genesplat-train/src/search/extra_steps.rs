@@ -8,11 +8,11 @@ use genesplat_core::StatisticsRequest;
 use super::Stage;
 use super::fitness::Fitness;
 use crate::config::StepBudget;
+use crate::optimiser_step::OptimiserStep;
 use crate::run::TrainError;
 use crate::run::observe::{StageKind, StageRecord};
 use crate::run::trainer::{REPORT_EVERY, Trainer};
 use crate::scene::views::ViewOrder;
-use crate::schedule::OptimiserStep;
 
 /// Steps at the current rates, which the schedule does not count.
 pub(crate) struct ExtraGradientSteps {
@@ -30,10 +30,10 @@ impl Stage for ExtraGradientSteps {
     const KEEPS_CHANGES: bool = true;
 
     fn begin(trainer: &mut Trainer, i: u32) -> Result<(Self, StageRecord), TrainError> {
-        let budget = trainer.config.evolution.extra_steps.expect("stages are searches, or there is a budget");
+        let budget = trainer.run.config().extra_steps.unwrap_or(StepBudget::Steps(0));
         let fitness = trainer.fitness(i);
         let before = trainer.fitness_of_base(&fitness, i)?;
-        let order = ViewOrder::new(trainer.rng.fork(i), trainer.views.len());
+        let order = ViewOrder::new(trainer.run.rng.fork(i), trainer.run.views.len());
         let stage = Self { iteration: i, budget, fitness, order, steps: 0, clock: None };
         Ok((stage, StageRecord::begun(StageKind::ExtraSteps, i, before, None)))
     }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use genesplat_core::{BackendError, EvolutionBackend, RenderSettings, SparseDelta};
-use genesplat_evolve::GeneticAlgorithm;
+use genesplat_evolve::{GeneticAlgorithm, GeneticConfig};
 
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
@@ -36,7 +36,8 @@ impl Fitness {
 impl Trainer<'_> {
     /// What the stage of iteration `i` is measured on: the same views in all stages of a run.
     pub(crate) fn fitness(&self, i: u32) -> Fitness {
-        let views = spread_evenly(self.views, self.config.evolution.views, &self.rng, 0);
+        let views = self.run.config().genetic.as_ref().map_or_else(|| GeneticConfig::default().views, |genetic| genetic.views);
+        let views = spread_evenly(self.run.views, views, &self.run.rng, 0);
         Fitness { views, settings: self.settings(i) }
     }
 
@@ -44,12 +45,6 @@ impl Trainer<'_> {
     pub(crate) fn fitness_of_base(&mut self, fitness: &Fitness, i: u32) -> Result<f64, TrainError> {
         let loss = fitness.losses(self.backend, &[SparseDelta::default()])?[0];
         if loss.is_finite() { Ok(loss) } else { Err(TrainError::NoFitness { iteration: i, loss }) }
-    }
-
-    /// The error that each Gaussian has a part in, the largest of the views of a fitness `[N]`.
-    pub(crate) fn errors(&mut self, fitness: &Fitness) -> Result<Vec<f32>, BackendError> {
-        let contributions = self.backend.contributions(&fitness.views, &fitness.settings)?;
-        Ok(contributions.into_iter().map(|contribution| contribution.error).collect())
     }
 
     /// Losses of all individuals that need one, in batches; `None` when stopped.

@@ -2,7 +2,7 @@ use genesplat_core::Moments;
 
 use super::*;
 
-const RULES: Rules = Rules { min_opacity: MIN_OPACITY, growth: 0.0, cap: 1000 };
+const RULES: Rules = Rules { min_opacity: 0.005, growth: 0.0, cap: 1000 };
 
 /// Of which only the opacities are looked at.
 fn genes(opacities: &[f32]) -> Vec<Genes> {
@@ -159,7 +159,7 @@ fn growth_is_of_the_opaque() {
 fn shared_opacity_has_a_floor() {
     let plan = plan_of(&[&[0.006][..], &[0.001; 9]].concat(), RULES);
     assert_eq!(plan.relocated, 9);
-    assert!(plan.edit.origins.iter().all(|&origin| (relocated(origin).0 - MIN_OPACITY).abs() < 1e-7));
+    assert!(plan.edit.origins.iter().all(|&origin| (relocated(origin).0 - 0.005).abs() < 1e-7));
 }
 
 #[test]

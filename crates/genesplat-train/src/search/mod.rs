@@ -10,17 +10,16 @@ use crate::run::checkpoint::Checkpoint;
 use crate::run::observe::{StageLog, StageRecord};
 use crate::run::trainer::Trainer;
 
+mod alone;
 mod averaging;
 mod extra_steps;
 mod fitness;
+mod genetic;
 mod guards;
-mod paper;
-mod search;
 
 pub(crate) use extra_steps::ExtraGradientSteps;
-pub(crate) use guards::{GuardScore, guards};
-pub(crate) use paper::GeneticSearch;
-pub use search::search;
+pub use alone::search;
+pub(crate) use genetic::GeneticSearch;
 
 /// A part of a run that is no iteration of its own.
 pub(crate) trait Stage: Sized {
@@ -53,16 +52,16 @@ impl Trainer<'_> {
     /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run repeats the
     /// stage in full.
     pub(crate) fn run_stage<S: Stage>(&mut self) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        let (clock, cursor) = (Instant::now(), self.cursor);
+        let (clock, cursor) = (Instant::now(), self.place.cursor);
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_finite(cursor)?) } else { None };
         let (mut stage, mut record) = S::begin(self, cursor.iteration)?;
         if let Some((views, generations)) = stage.announcement() {
             self.tell_of_stage(&record, views, generations);
         }
-        self.is_mid_change = true;
+        self.place.is_mid_change = true;
         let outcome = self.go_on(&mut stage, &mut record);
         let rewound = stage.rewind(self);
-        self.is_mid_change = S::KEEPS_CHANGES || rewound.is_err();
+        self.place.is_mid_change = S::KEEPS_CHANGES || rewound.is_err();
         let is_done = stage.is_done();
         let finished = rewound.and(outcome).and_then(|()| {
             record.seconds = clock.elapsed().as_secs_f64();
@@ -91,13 +90,13 @@ impl Trainer<'_> {
     /// What is told at the beginning of a stage.
     pub(crate) fn tell_of_stage(&mut self, record: &StageRecord, views: &[usize], generations: u32) {
         let StageRecord { kind, iteration, fitness_before: fitness, .. } = *record;
-        let views = views.iter().map(|&view| self.views[view].name.clone()).collect();
+        let views = views.iter().map(|&view| self.run.views[view].name.clone()).collect();
         self.observer.on_stage_start(&StageLog { kind, iteration, generations, views, fitness });
     }
 
     /// The stage counts.
     pub(crate) fn end_stage(&mut self, record: StageRecord) {
         self.observer.on_stage_end(&record);
-        self.progress.stages.push(record);
+        self.place.progress.stages.push(record);
     }
 }
