@@ -39,10 +39,10 @@ fn documents_agree_with_the_results() {
     let mut with_tables = 0;
     for path in tables::documents(root()).unwrap() {
         let text = fs::read_to_string(&path).unwrap();
-        let expected = tables::update(&text, &root().join("docs/results")).unwrap();
+        let expected = tables::update(&text, &root().join("lab/results")).unwrap();
         assert!(
             text == expected,
-            "{} disagrees with docs/results: cargo run --release --example doc_tables",
+            "{} disagrees with lab/results: cargo run --release --example doc_tables",
             path.display()
         );
         with_tables += usize::from(text.contains("<!-- table: "));
@@ -66,7 +66,7 @@ fn every_setting_stands_in_the_document_as_the_code_explains_it() {
 fn no_result_is_typed_into_a_table() {
     for name in ["README.md", "docs/evolution.md"] {
         let text = fs::read_to_string(root().join(name)).unwrap();
-        assert_eq!(typed_lines(&text), [""; 0], "{name}: commit the runs to docs/results and mark the table");
+        assert_eq!(typed_lines(&text), [""; 0], "{name}: commit the runs to lab/results and mark the table");
         let planted = text.replacen("\n\n", "\n\n| fox | 32.98 |\n\n", 1);
         assert_eq!(typed_lines(&planted), ["| fox | 32.98 |"]);
     }
@@ -117,13 +117,13 @@ fn a_figure_changed_by_hand_is_found() {
     let text = fs::read_to_string(root().join("docs/evolution.md")).unwrap();
     let planted = text.replacen(" ± 0.", " ± 1.", 1);
     assert_ne!(planted, text);
-    assert_eq!(tables::update(&planted, &root().join("docs/results")).unwrap(), text);
+    assert_eq!(tables::update(&planted, &root().join("lab/results")).unwrap(), text);
 }
 
 #[test]
 fn figures_are_means_over_pairs() {
     let expected = "before\n<!-- table: results -->
-| 480 px, 7,000 iterations | pairs | off: PSNR, dB | renew | Gaussians: off/best plain/renew/improved-gs |
+| 480 px, 7,000 iterations | pairs | 3DGS: PSNR, dB | ours | Gaussians: 3DGS/plain/ours/Improved-GS |
 |---|---|---|---|---|
 | fox | 2 | 30.50 | 30.80 | 1,234,568/-/901/- |
 <!-- /table -->\nafter\n";
@@ -146,7 +146,7 @@ fox,480,10000,1,strong-longer,31.3,900,120,0,genesplat train fox
 ";
     let sooner = "fox,480,5000,0,renew-sooner,30.3,900,90,0,genesplat train fox\n";
     let table = updated(DOCUMENT, &format!("{CSV}{STRONG}{sooner}")).unwrap();
-    assert!(table.contains("| renew - best plain | in as many seconds |"), "{table}");
+    assert!(table.contains("| ours - plain | in as many seconds |"), "{table}");
     assert!(table.contains("| +0.08 ± 0.25 | +0.05 (of 1) |"), "{table}");
     let table = updated(DOCUMENT, &format!("{CSV}{STRONG}{longer}{sooner}")).unwrap();
     assert!(table.contains("| -0.05 ± 0.21 | -0.10 (of 1) |"), "the longer run is the best: {table}");
@@ -178,7 +178,7 @@ fn another_trainer_stands_beside_it() {
         csv.push(format!("improved-gs,fox,480,7000,{seed},improved-gs,{psnr},900,150,0,genesplat train fox"));
     }
     let table = updated(DOCUMENT, &csv.join("\n")).unwrap();
-    assert!(table.contains("| renew | renew - improved-gs | Gaussians: off"), "{table}");
+    assert!(table.contains("| ours | ours - Improved-GS | Gaussians: 3DGS"), "{table}");
     assert!(table.contains("| 30.80 | **-0.70** ± 0.28 | 1,234,568/-/901/900 |"), "{table}");
     let of_one_seed = updated(DOCUMENT, &csv[..6].join("\n")).unwrap();
     assert!(of_one_seed.contains("| 30.80 | -0.50 (of 1) |"), "{of_one_seed}");

@@ -1,14 +1,14 @@
-//! Writes the tables of the documents from the figures in `docs/results`, so that none is typed by hand, and docs/settings.md from the
+//! Writes the tables of the documents from the figures in `lab/results`, so that none is typed by hand, and docs/settings.md from the
 //! comments of the settings.
 //!
 //! ```sh
-//! cargo run --release --example doc_tables               # rewrites the tables in README.md and docs/*.md
+//! cargo run --release --example doc_tables               # rewrites the tables in README.md, docs/*.md and lab/*.md
 //! cargo run --release --example doc_tables -- --check    # changes nothing; fails where a document disagrees
 //! cargo run --release --example doc_tables -- --add DIR study-evolution COMMIT MACHINE
 //! ```
 //!
 //! `--add` puts the finished runs of an experiment's folder into a CSV file first: the one of the experiment's own name in
-//! `docs/results`, else `ablations.csv` where that name begins with `ablation`, else `real-size.csv`. `--add-busy` does without their
+//! `lab/results`, else `ablations.csv` where that name begins with `ablation`, else `real-size.csv`. `--add-busy` does without their
 //! seconds, since the machine had other work.
 
 use std::fs;
@@ -22,7 +22,7 @@ mod tables;
 
 fn main() -> Result<()> {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-    let results = root.join("docs/results");
+    let results = root.join("lab/results");
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match &arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         [] => write_tables(root, &results, false),
@@ -57,7 +57,7 @@ fn write_tables(root: &Path, results: &Path, check: bool) -> Result<()> {
             continue;
         }
         if check {
-            bail!("tables of {} are not those of docs/results; run this without --check", path.display());
+            bail!("tables of {} are not those of lab/results; run this without --check", path.display());
         }
         rewrite(&path, &with_tables)?;
     }
