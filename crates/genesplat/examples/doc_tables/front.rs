@@ -1,16 +1,16 @@
-//! README's table: scenes by methods.
+//! Tables for users: methods by the names that the command has for them.
 
 use std::path::Path;
 
 use anyhow::Result;
 
-use super::{BASELINE, EVOLVED, Figures, IMPROVED, Part, Run, SINGLE, markdown, runs_in, thousands};
+use super::{BASELINE, EVOLVED, Figures, IMPROVED, Part, Run, SINGLE, difference, markdown, runs_in, thousands};
 
 /// Runs whose seconds were measured apart from their figures, and runs on graphics cards.
 const SECONDS: &str = "seconds";
 
-/// Two lines a scene: PSNR and Gaussians, means over the seeds that all methods but MCMC have; then the time of training, where it was
-/// measured.
+/// README's table, two lines a scene: PSNR and Gaussians, means over the seeds that all methods but MCMC have; then
+/// the time of training, where it was measured.
 pub(super) fn methods(parts: &[Part], results: &Path) -> Result<String> {
     let head = ["480 px, 7,000 iterations", "3DGS", "MCMC", "Improved-GS", "ours"];
     let (single, timed) = (runs_in(SINGLE, results)?, runs_in(SECONDS, results)?);
@@ -74,4 +74,34 @@ fn minutes(part: &Part, timed: &[Run], arm: &str) -> String {
         .flatten()
         .collect::<Vec<_>>()
         .join(", ")
+}
+
+/// PSNR of the published search and of as many seconds of gradient steps; at last a scene that size does not prune.
+pub(super) fn search(parts: &[Part], results: &Path) -> Result<String> {
+    let head = ["160 px, 3,000 iterations", "3DGS: PSNR, dB", "3DGS + GA", "gradient steps in as many seconds"];
+    let runs = runs_in("fern-unpruned", results)?;
+    let unpruned = Part { label: "fern, nothing pruned by size".to_owned(), runs };
+    let named = parts.iter().map(|part| (part.runs[0].text("scene").to_owned(), part));
+    let named = named.chain([(unpruned.label.clone(), &unpruned)]);
+    let line = |(label, part): (String, &Part)| -> Result<[String; 4]> {
+        let plain = Figures::of(&part.runs_of(BASELINE), |run| run.number("psnr"));
+        let gain = |arm: &str| -> Result<String> {
+            let gain = difference(&part.pairs(BASELINE, arm)?, "psnr");
+            Ok(gain.mean(|mean| format!("{mean:+.2}{}", gain.plus_minus())))
+        };
+        let plain = plain.mean(|mean| format!("{mean:.2}{}", plain.plus_minus()));
+        Ok([label, plain, gain("paper")?, gain("control")?])
+    };
+    Ok(markdown(head, named.map(line).collect::<Result<_>>()?))
+}
+
+/// PSNR of runs of 30,000 iterations, one a cell.
+pub(super) fn long_runs(parts: &[Part], _: &Path) -> Result<String> {
+    let head = ["480 px, 30,000 iterations: PSNR, dB", "3DGS", "plain with averages", "ours"];
+    let psnr = |part: &Part, arm: &str| part.runs_of(arm).first().map_or("", |run| run.text("psnr")).to_owned();
+    let line = |part: &Part| {
+        let [plain, averaged, ours] = [BASELINE, "strong-averaged", EVOLVED].map(|arm| psnr(part, arm));
+        [part.label.clone(), plain, averaged, ours]
+    };
+    Ok(markdown(head, parts.iter().map(line).collect()))
 }

@@ -48,10 +48,10 @@ const TABLES: [Table; 17] = [
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
     Table { name: "fern-unpruned", file: "fern-unpruned", part: |run| Some(run.size()), write: arms },
-    Table { name: "search", file: "ablations", part: |run| run.is_of_search().then(|| run.size()), write: search },
-    Table { name: "search-unpruned", file: "fern-unpruned", part: |run| Some(run.size()), write: search },
+    Table { name: "search", file: "ablations", part: |run| Some(run.size()), write: front::search },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
+    Table { name: "long-runs", file: SINGLE, part: |run| run.of("long", Run::line), write: front::long_runs },
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
     Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
     Table { name: "few-photos", file: SINGLE, part: |run| run.of("few-photos", Run::line), write: grid },
@@ -105,11 +105,6 @@ impl Run {
     /// Shorter than people train.
     fn is_short(&self) -> bool {
         self.length().is_some_and(|length| length < 7000.0)
-    }
-
-    /// The search as published, and what it is measured by.
-    fn is_of_search(&self) -> bool {
-        [BASELINE, "paper", "control"].contains(&self.text("arm"))
     }
 
     fn pixels_and_length(&self) -> String {
@@ -337,12 +332,6 @@ fn arms(parts: &[Part], _: &Path) -> Result<String> {
         }
     }
     Ok(markdown(head, lines))
-}
-
-/// The published search beside as many seconds of gradient steps, by the names that users know.
-fn search(parts: &[Part], results: &Path) -> Result<String> {
-    let table = arms(parts, results)?.replace("| off |", "| 3DGS |").replace("| paper |", "| 3DGS + GA |");
-    Ok(table.replace("| control |", "| gradient steps in as many seconds |").replace("| arm |", "| method |"))
 }
 
 /// One column an arm, one run a cell: PSNR, SSIM, Gaussians, of which the last two may be unknown. The best PSNR of a line is bold.
