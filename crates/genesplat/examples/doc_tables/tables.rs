@@ -42,7 +42,12 @@ struct Table {
 }
 
 const TABLES: [Table; 17] = [
-    Table { name: "methods", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: front::methods },
+    Table {
+        name: "methods",
+        file: "real-size",
+        part: |run| (!run.is_short()).then(|| run.size()),
+        write: front::methods,
+    },
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
