@@ -1,7 +1,7 @@
 """How fast many processes train one scene: measures it here, and computes it for machines that are not at hand.
 
-    python tools/scale.py measure GENESPLAT FOX FOLDER     # docs/results/scale.json; an idle machine; needs mpirun
-    python tools/scale.py tables                           # the tables of docs/scale.md, from that file
+    python tools/scale.py measure GENESPLAT FOX FOLDER     # lab/results/scale.json; an idle machine; needs mpirun
+    python tools/scale.py tables                           # the tables of lab/scale.md, from that file
     python tools/scale.py check                            # fails where that page has others
 
 GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread; one process with
@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-FIGURES = ROOT / "docs/results/scale.json"
-PAGE = ROOT / "docs/scale.md"
+FIGURES = ROOT / "lab/results/scale.json"
+PAGE = ROOT / "lab/scale.md"
 
 # Gaussians, longest side of the photos (px), photos a step, iterations.
 WORKLOADS = [

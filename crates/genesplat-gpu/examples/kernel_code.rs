@@ -1,8 +1,6 @@
-//! Writes what compilers get of every kernel, for those who count instructions (`tools/gpu-count/`).
+//! Writes what compilers get of every kernel, for those who count instructions (`tools/gpu-count`).
 //!
-//! `kernel_code FOLDER` writes each kernel as HLSL, from which the tool goes on to NVIDIA's machine code, and as the
-//! SPIR-V that Vulkan drivers get. `--trusted` before the folder leaves out what naga adds so that loops end and indices
-//! fit: the difference is what that costs.
+//! `kernel_code FOLDER` writes each kernel as the SPIR-V that Vulkan drivers get, and as HLSL, which names its bindings.
 
 use std::path::Path;
 
@@ -15,14 +13,10 @@ use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let (is_trusted, folder) = match &arguments[..] {
-        [way, folder] if way == "--trusted" => (true, folder),
-        [folder] => (false, folder),
-        _ => bail!("usage: kernel_code [--trusted] FOLDER"),
-    };
+    let [folder] = &arguments[..] else { bail!("usage: kernel_code FOLDER") };
     std::fs::create_dir_all(folder)?;
     genesplat_gpu::kernel_sources().try_for_each(|(kernel, source)| {
-        write_kernel(Path::new(folder), kernel, &source, is_trusted).with_context(|| kernel.to_owned())
+        write_kernel(Path::new(folder), kernel, &source).with_context(|| kernel.to_owned())
     })
 }
 
@@ -44,26 +38,24 @@ fn overrides(kernel: &str) -> Vec<(&'static str, f64)> {
     }
 }
 
-fn write_kernel(folder: &Path, kernel: &str, source: &str, is_trusted: bool) -> Result<()> {
+fn write_kernel(folder: &Path, kernel: &str, source: &str) -> Result<()> {
     let module = naga::front::wgsl::parse_str(source)?;
     let info = Validator::new(ValidationFlags::all(), Capabilities::SUBGROUP).validate(&module)?;
     let constants: PipelineConstants =
         overrides(kernel).into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
     let (module, info) = process_overrides(&module, &info, Some((Compute, "main")), &constants)?;
     let path = folder.join(kernel.replace('/', "."));
-    std::fs::write(path.with_added_extension("hlsl"), hlsl_of(&module, &info, is_trusted)?)?;
-    let words = spirv_of(&module, &info, is_trusted)?;
+    std::fs::write(path.with_added_extension("hlsl"), hlsl_of(&module, &info)?)?;
+    let words = spirv_of(&module, &info)?;
     let bytes: Vec<u8> = words.into_iter().flat_map(u32::to_le_bytes).collect();
     Ok(std::fs::write(path.with_added_extension("spv"), bytes)?)
 }
 
-fn hlsl_of(module: &naga::Module, info: &ModuleInfo, is_trusted: bool) -> Result<String> {
+fn hlsl_of(module: &naga::Module, info: &ModuleInfo) -> Result<String> {
     let options = hlsl::Options {
         shader_model: hlsl::ShaderModel::V6_0,
         fake_missing_bindings: true,
         zero_initialize_workgroup_memory: false,
-        restrict_indexing: !is_trusted,
-        force_loop_bounding: !is_trusted,
         ..Default::default()
     };
     let entry = hlsl::PipelineOptions { entry_point: Some((Compute, "main".to_owned())) };
@@ -73,19 +65,19 @@ fn hlsl_of(module: &naga::Module, info: &ModuleInfo, is_trusted: bool) -> Result
 }
 
 /// As wgpu asks for it where the driver checks buffers itself (`robustBufferAccess2`).
-fn spirv_of(module: &naga::Module, info: &ModuleInfo, is_trusted: bool) -> Result<Vec<u32>> {
+fn spirv_of(module: &naga::Module, info: &ModuleInfo) -> Result<Vec<u32>> {
     let unchecked = BoundsCheckPolicy::Unchecked;
     let options = spv::Options {
         lang_version: (1, 3),
         flags: spv::WriterFlags::empty(),
         bounds_check_policies: BoundsCheckPolicies {
-            index: if is_trusted { unchecked } else { BoundsCheckPolicy::Restrict },
+            index: BoundsCheckPolicy::Restrict,
             buffer: unchecked,
             image_load: unchecked,
             binding_array: unchecked,
         },
         zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
-        force_loop_bounding: !is_trusted,
+        force_loop_bounding: true,
         ..Default::default()
     };
     let entry = spv::PipelineOptions { shader_stage: Compute, entry_point: "main".to_owned() };

@@ -173,12 +173,14 @@ fn named_paths(text: &str) -> Vec<String> {
         .collect()
 }
 
-/// The documents at the root, and those below `docs`.
+/// The documents at the root, and those below `docs` and `lab`.
 fn documents() -> Vec<PathBuf> {
     let mut documents: Vec<PathBuf> =
         ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"].map(|name| root().join(name)).into();
-    let pages = std::fs::read_dir(root().join("docs")).expect("docs").map(|page| page.expect("readable").path());
-    documents.extend(pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")));
+    for folder in ["docs", "lab"] {
+        let pages = std::fs::read_dir(root().join(folder)).expect(folder).map(|page| page.expect("readable").path());
+        documents.extend(pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")));
+    }
     documents
 }
 
@@ -195,4 +197,23 @@ fn documents_name_files_that_exist() {
     }
     assert!(seen > 5, "the search finds paths: {seen}");
     assert_eq!(named_paths("see `a/b.rs` and `c d/e.rs` and `x`"), ["a/b.rs"]);
+}
+
+/// Where the links of a page lead, without the part behind `#`; addresses on the web are left out.
+fn links(text: &str) -> Vec<&str> {
+    let targets = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    targets.filter(|target| !target.contains("://")).filter_map(|target| target.split('#').next()).collect()
+}
+
+#[test]
+fn links_of_documents_lead_to_files() {
+    assert_eq!(links("[a](b.md#c), [d](https://e/f.md), ![g](h.png), [i](#j)"), ["b.md", "h.png", ""]);
+    // What changed is told with the paths of its time.
+    for document in documents().into_iter().filter(|document| !document.ends_with("CHANGELOG.md")) {
+        let text = std::fs::read_to_string(&document).expect("a document");
+        for link in links(&text).into_iter().filter(|link| !link.is_empty()) {
+            let target = document.parent().expect("a folder").join(link);
+            assert!(target.exists(), "{} links to {link}, which is not there", document.display());
+        }
+    }
 }

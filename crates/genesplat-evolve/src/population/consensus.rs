@@ -2,7 +2,7 @@
 //!
 //! Keeping, breeding and scoring an individual cost what it changes. At the paper's settings individuals differ from
 //! the base in more than half of their rows after 30 generations, but from what most of their parents hold in a
-//! quarter, and in a twentieth towards the end (`docs/performance.md`): selection makes them cousins.
+//! quarter, and in a twentieth towards the end (`lab/performance.md`): selection makes them cousins.
 
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 //!
 //! naga gives every loop a counter of its own, so that a wrong bound cannot hang a device. That counter hides from
 //! NVIDIA's compiler that a loop is eight steps long: it is not unrolled, and an array that is indexed by the step
-//! becomes a chain of comparisons. `docs/performance.md` has what that cost. So a loop that counts by constants is
+//! becomes a chain of comparisons. `lab/performance.md` has what that cost. So a loop that counts by constants is
 //! written out when a shader is put together: each step is a block that begins with the value of the variable, as a
 //! constant. The files stay ordinary WGSL, and nothing is trusted that was checked before.
 

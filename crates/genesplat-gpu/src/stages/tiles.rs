@@ -31,7 +31,7 @@ impl TileKernel {
     }
 }
 
-/// What `docs/performance.md` counts in warps, rounded up: a splat reaches half of a tile's blocks.
+/// What `lab/performance.md` counts in warps, rounded up: a splat reaches half of a tile's blocks.
 pub(crate) const RASTERISE: TileKernel = TileKernel { for_intersection: 5_000, ..TileKernel::new(&shaders::RASTERISE) };
 pub(crate) const RASTERISE_BACKWARD: TileKernel =
     TileKernel { for_intersection: 10_000, ..TileKernel::new(&shaders::RASTERISE_BACKWARD) };

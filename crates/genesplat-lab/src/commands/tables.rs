@@ -12,7 +12,7 @@ use crate::tables::{add, settings, tables};
 
 pub(crate) fn run(args: &TablesArgs) -> Result<()> {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-    let results = root.join("docs/results");
+    let results = root.join("lab/results");
     for (runs, is_idle) in [(&args.add, true), (&args.add_busy, false)] {
         if let [folder, experiment, commit, machine] = &runs[..] {
             let made = add::Made { experiment, commit, machine, is_idle };
@@ -41,7 +41,7 @@ fn write_tables(root: &Path, results: &Path, check: bool) -> Result<()> {
             continue;
         }
         if check {
-            bail!("tables of {} are not those of docs/results; run this without --check", shown(&path));
+            bail!("tables of {} are not those of lab/results; run this without --check", shown(&path));
         }
         rewrite(&path, &with_tables)?;
     }

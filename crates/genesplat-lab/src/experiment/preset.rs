@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn the_example_of_the_documents_is_valid() {
-        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/experiments.md");
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../lab/experiments.md");
         let text = fs::read_to_string(page).unwrap();
         let example = text.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
         let experiment = Experiment::new(toml::from_str(example).unwrap()).unwrap();
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn the_settings_beside_the_results_are_valid() {
-        let results = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results"));
+        let results = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../lab/results"));
         let studies = [
             ("shoe.toml", 3 * 5),
             ("shoe-improved.toml", 3),

@@ -1,4 +1,4 @@
-//! Adds the runs of an experiment to a CSV file of `docs/results`, whose header says what is kept of them.
+//! Adds the runs of an experiment to a CSV file of `lab/results`, whose header says what is kept of them.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, ensure};
 
+#[path = "front.rs"]
+mod front;
+
 /// Training without evolution, which the other arms are compared with.
 const BASELINE: &str = "off";
 /// The arm that a user gets by default.
@@ -30,21 +33,30 @@ const END: &str = "<!-- /table -->";
 /// A table of the documents.
 struct Table {
     name: &'static str,
-    /// The CSV file, below `docs/results` and without its ending.
+    /// The CSV file, below `lab/results` and without its ending.
     file: &'static str,
     /// The part of the table that a run belongs to, `None` where it is not shown.
     part: fn(&Run) -> Option<String>,
-    write: fn(&[Part]) -> Result<String>,
+    /// From the parts, and the folder of the CSV files.
+    write: fn(&[Part], &Path) -> Result<String>,
 }
 
-const TABLES: [Table; 14] = [
+const TABLES: [Table; 17] = [
+    Table {
+        name: "methods",
+        file: "real-size",
+        part: |run| (!run.is_short()).then(|| run.size()),
+        write: front::methods,
+    },
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
     Table { name: "fern-unpruned", file: "fern-unpruned", part: |run| Some(run.size()), write: arms },
+    Table { name: "search", file: "ablations", part: |run| Some(run.size()), write: front::search },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
+    Table { name: "long-runs", file: SINGLE, part: |run| run.of("long", Run::line), write: front::long_runs },
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
     Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
     Table { name: "few-photos", file: SINGLE, part: |run| run.of("few-photos", Run::line), write: grid },
@@ -183,11 +195,13 @@ impl Part {
     }
 }
 
-/// README.md and the pages below docs.
+/// README.md and the pages below docs and lab.
 pub(crate) fn documents(root: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = vec![root.join("README.md")];
-    for entry in fs::read_dir(root.join("docs"))? {
-        paths.extend(Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")));
+    for folder in ["docs", "lab"] {
+        for entry in fs::read_dir(root.join(folder))? {
+            paths.extend(Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")));
+        }
     }
     paths.sort();
     Ok(paths)
@@ -208,17 +222,22 @@ pub(crate) fn update(text: &str, results: &Path) -> Result<String> {
 
 fn table(name: &str, results: &Path) -> Result<String> {
     let table = TABLES.iter().find(|table| table.name == name).ok_or_else(|| anyhow!("no table is called {name}"))?;
-    let path = results.join(table.file).with_extension("csv");
-    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let mut parts: Vec<Part> = Vec::new();
-    for run in runs(&text).with_context(|| path.display().to_string())? {
+    for run in runs_in(table.file, results)? {
         let Some(label) = (table.part)(&run) else { continue };
         match parts.iter_mut().find(|part| part.label == label) {
             Some(part) => part.runs.push(run),
             None => parts.push(Part { label, runs: vec![run] }),
         }
     }
-    if parts.is_empty() { Ok("*No committed run yet.*".to_owned()) } else { (table.write)(&parts) }
+    if parts.is_empty() { Ok("*No committed run yet.*".to_owned()) } else { (table.write)(&parts, results) }
+}
+
+/// Runs of a CSV file, below `results` and without its ending.
+fn runs_in(file: &str, results: &Path) -> Result<Vec<Run>> {
+    let path = results.join(file).with_extension("csv");
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    runs(&text).with_context(|| path.display().to_string())
 }
 
 /// Runs of a CSV file with a header. No value but the last of a line has commas.
@@ -235,20 +254,20 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
 }
 
 /// One line a scene: the published trainer, the best of plain settings, evolution, and the strongest other trainer.
-fn scenes(parts: &[Part]) -> Result<String> {
+fn scenes(parts: &[Part], _: &Path) -> Result<String> {
     // The size stands above the scenes where it is the same for all.
     let sizes: BTreeSet<String> = parts.iter().map(|part| part.runs[0].pixels_and_length()).collect();
     let common = sizes.first().filter(|_| sizes.len() == 1);
     let head = [
         common.map_or("scene", String::as_str),
         "pairs",
-        "off: PSNR, dB",
-        "best plain",
-        "renew",
-        "renew - best plain",
+        "3DGS: PSNR, dB",
+        "plain",
+        "ours",
+        "ours - plain",
         "in as many seconds",
-        "renew - improved-gs",
-        "Gaussians: off/best plain/renew/improved-gs",
+        "ours - Improved-GS",
+        "Gaussians: 3DGS/plain/ours/Improved-GS",
     ];
     let mut lines = Vec::new();
     for part in parts {
@@ -289,7 +308,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
 }
 
 /// One line an arm: values of the baseline, and of the others their differences from it.
-fn arms(parts: &[Part]) -> Result<String> {
+fn arms(parts: &[Part], _: &Path) -> Result<String> {
     let head = ["", "arm", "pairs", "better", "PSNR, dB", "SSIM", "LPIPS", "train PSNR", "Gaussians", "seconds"];
     let mut lines = Vec::new();
     for part in parts {
@@ -321,7 +340,7 @@ fn arms(parts: &[Part]) -> Result<String> {
 }
 
 /// One column an arm, one run a cell: PSNR, SSIM, Gaussians, of which the last two may be unknown. The best PSNR of a line is bold.
-fn grid(parts: &[Part]) -> Result<String> {
+fn grid(parts: &[Part], _: &Path) -> Result<String> {
     let mut columns: Vec<&str> = Vec::new();
     for arm in parts.iter().flat_map(Part::arms) {
         if !columns.contains(&arm) {
