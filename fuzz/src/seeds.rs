@@ -61,6 +61,7 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "archive" => {
             vec![wrap::zip(&["a/1.png", "sparse/0/cameras.txt", "b"], &wrap::framed(&[vec![1; 9], CAMERAS.into()]))]
         }
+        "archive-names" => vec![b"a/1.png\nb/../2.jpg\nA/1.png".into(), b"1.png\n1.png".into()],
         "cameras-bin" => vec![model("cameras.bin")],
         "images-bin" => vec![model("images.bin")],
         "points-bin" => vec![model("points3D.bin")],

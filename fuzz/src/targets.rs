@@ -3,6 +3,7 @@
 //! That nothing panics, overflows, hangs or fills memory holds of all. Errors are shown, since a sentence is made only
 //! then. What was read is written and read again, where there is a writer.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -21,8 +22,9 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 26] = [
-    ("archive", |bytes| assert!(said(bytes::unpacked(bytes)).is_none_or(|sum| sum <= UNPACKED_MAX))),
+pub(crate) const ALL: [(&str, Target); 27] = [
+    ("archive", archive),
+    ("archive-names", |bytes| archive(&wrap::empty_entries(bytes.split(|byte| *byte == b'\n')))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
     ("cameras-txt", |bytes| drop(said(bytes::cameras(Form::Text, bytes)))),
     ("images-bin", |bytes| drop(said(bytes::images(Form::Binary, bytes)))),
@@ -57,6 +59,8 @@ const PHOTO_PIXELS_MAX: u64 = 1 << 14;
 const LENS_SIDE_MAX: u32 = 24;
 /// Larger clouds are read, but not written again.
 const CLOUD_MAX: usize = 64;
+/// And those are not written in slow formats of others.
+const CONVERTED_MAX: usize = 2;
 
 /// As genesplat names them.
 pub(crate) const SOG_PARTS: [&str; 8] = [
@@ -77,6 +81,16 @@ pub(crate) const TOKEN: &str = "5e1f";
 /// What was read, or nothing, once the reason is said.
 fn said<T>(read: Result<T, impl std::fmt::Display>) -> Option<T> {
     read.map_err(|error| assert!(!error.to_string().trim().is_empty(), "an error says something")).ok()
+}
+
+/// What is unpacked is no more than is likely, and every name is one file's.
+fn archive(bytes: &[u8]) {
+    let Some(files) = said(bytes::unpacked(bytes)) else { return };
+    assert!(files.iter().map(|(_, bytes)| bytes).sum::<u64>() <= UNPACKED_MAX);
+    let names: BTreeSet<String> = files.iter().map(|(file, _)| file.to_string_lossy().to_lowercase()).collect();
+    assert_eq!(names.len(), files.len(), "a name that occurs twice is refused");
+    let list = bytes.windows(4).filter(|mark| mark == b"PK\x01\x02").count();
+    assert!(files.len() <= list, "no entry is made up");
 }
 
 fn lenses(bytes: &[u8]) {
@@ -100,6 +114,19 @@ fn splat(format: Format, bytes: &[u8]) {
     assert_eq!(again.len(), read.cloud.len());
     let is_exact = format == Format::Ply;
     assert!(!is_exact || is_same(&again, &read.cloud), "every bit is kept");
+    let others = Format::ALL.into_iter().filter(|other| *other != format);
+    others.for_each(|other| converted(other, &read.cloud, &options));
+}
+
+/// Whatever can be used is written by every format, or refused with a sentence, and what is written is read.
+fn converted(format: Format, cloud: &Gaussians, options: &Options) {
+    // These take milliseconds, for their compression.
+    if matches!(format, Format::Spz | Format::Sog) && cloud.len() > CONVERTED_MAX {
+        return;
+    }
+    let Some(file) = said(bytes::written(format, cloud, options)) else { return };
+    let again = bytes::splat(format, &file).expect("what is written is read").cloud;
+    assert_eq!(again.len(), cloud.len());
 }
 
 /// Zeros of either sign are equal, and nothing that was read is NaN.

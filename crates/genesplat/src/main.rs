@@ -1,7 +1,6 @@
 //! The `genesplat` command.
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
-//! poses, refine, render, demo and experiment).
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM.
 
 mod args;
 mod blocks;
@@ -39,7 +38,7 @@ fn main() -> ExitCode {
     output::explain_panics();
     let arguments = args::Arguments::parse();
     output::set_volume(arguments.volume.volume());
-    match panic::catch_unwind(|| commands::run(arguments)) {
+    match panic::catch_unwind(|| interrupt::hear().and_then(|()| commands::run(arguments))) {
         Ok(Ok(ending)) => {
             output::tell_notes();
             ending.into()

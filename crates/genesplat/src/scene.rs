@@ -9,8 +9,8 @@ use genesplat::io::{LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene}
 use genesplat::train::scene::initialise::ColouredPoint;
 
 use crate::settings::Dataset;
-use crate::terminal::output;
 use crate::terminal::progress::LoadBar;
+use crate::terminal::{interrupt, output};
 
 /// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are trained.
 pub(crate) const PHOTO_MEMORY: u64 = 1 << 30;
@@ -32,6 +32,7 @@ pub(crate) fn load_to_look(dataset: &Dataset, divisor: u32, background: [f32; 3]
 }
 
 fn read(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
+    let _preparing = interrupt::preparing();
     let background = background.map(|value| (255.0 * value).round() as u8);
     Ok(load_scene(path, &LoadOptions { background, ..options }, &LoadBar::default())?)
 }

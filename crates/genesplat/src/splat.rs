@@ -13,7 +13,7 @@ use crate::run::session::has_checkpoint;
 use crate::run::{CLOUD, CONFIG};
 use crate::scene;
 use crate::settings::{ConfigFile, Dataset};
-use crate::terminal::output;
+use crate::terminal::{interrupt, output};
 
 /// A cloud and how it is meant to be shown.
 pub(crate) struct Splat {
@@ -112,6 +112,7 @@ pub(crate) fn open_unchecked(path: &Path) -> Result<Splat> {
 }
 
 fn open_by(read: Read, path: &Path) -> Result<Splat> {
+    let _preparing = interrupt::preparing();
     ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
     if path.is_dir() { open_run(read, path) } else { open_file(read, path) }
 }

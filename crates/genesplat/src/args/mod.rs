@@ -40,7 +40,7 @@ pub(crate) use train::{SearchArgs, TrainArgs};
 const MORE: &str = "More options";
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, poses, refine, render, demo, experiment)";
+                           SIGTERM with what there was saved";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///

@@ -27,11 +27,11 @@ use crate::{cluster, device, lpips, overwrite, scene, unpacked};
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if !cluster::is_member() {
         cluster::notice_other_starters();
-        let stop = interrupt::stop_flag()?;
+        let stop = interrupt::stop_flag();
         cluster::stop_as_ranks_do(&stop)?;
         return run_on(args, &stop, None);
     }
-    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out)?;
+    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING), &args.out)?;
     let done = run_on(args, cluster.stop(), Some(&cluster));
     // Of an error that one of them has alone, the others hear now, wherever they are.
     let done = if cluster.has_failed() { done } else { cluster::agree(Some(&cluster), done) };
@@ -71,7 +71,7 @@ struct Loaded {
     lpips: Option<Lpips>,
 }
 
-/// One process claims the folder. `None` where it was stopped while it looked for cameras.
+/// One process claims the folder. `None` where it was stopped before it loaded anything.
 fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Option<Loaded>> {
     overwrite::check_apart(&args.dataset, &args.out)?;
     let session = match cluster {
@@ -88,6 +88,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);
     }
+    let Some(_preparing) = interrupt::preparing_unless(stop) else { return Ok(None) };
     if !args.poses && archive::is_zip(&args.dataset) {
         unpacked::unpack(&args.dataset, &args.scene())?;
     }
