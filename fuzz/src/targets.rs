@@ -12,6 +12,7 @@ use genesplat_core::Gaussians;
 use genesplat_io::bytes;
 use genesplat_io::colmap::Form;
 use genesplat_io::format::{Format, Options};
+use genesplat_io::ply::leave_out_faults;
 use genesplat_metrics::weights::read_weights;
 use genesplat_train::{Checkpoint, TrainConfig};
 use genesplat_viewer::message::ClientMessage;
@@ -22,7 +23,7 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 27] = [
+pub(crate) const ALL: [(&str, Target); 28] = [
     ("archive", archive),
     ("archive-names", |bytes| archive(&wrap::empty_entries(bytes.split(|byte| *byte == b'\n')))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
@@ -43,6 +44,7 @@ pub(crate) const ALL: [(&str, Target); 27] = [
     ("sog", |bytes| splat(Format::Sog, bytes)),
     ("sog-inside", |bytes| splat(Format::Sog, &wrap::zip(&SOG_PARTS, bytes))),
     ("glb", |bytes| splat(Format::Glb, bytes)),
+    ("values", values),
     ("config", config),
     ("checkpoint", |bytes| checkpoint(&wrap::checkpoint(bytes))),
     ("weights", weights),
@@ -59,8 +61,8 @@ const PHOTO_PIXELS_MAX: u64 = 1 << 14;
 const LENS_SIDE_MAX: u32 = 24;
 /// Larger clouds are read, but not written again.
 const CLOUD_MAX: usize = 64;
-/// And those are not written in slow formats of others.
-const CONVERTED_MAX: usize = 2;
+/// Everything that a Gaussian has, its 3D filter among it.
+pub(crate) const VALUES_PER_ROW: usize = 60;
 
 /// As genesplat names them.
 pub(crate) const SOG_PARTS: [&str; 8] = [
@@ -114,19 +116,29 @@ fn splat(format: Format, bytes: &[u8]) {
     assert_eq!(again.len(), read.cloud.len());
     let is_exact = format == Format::Ply;
     assert!(!is_exact || is_same(&again, &read.cloud), "every bit is kept");
-    let others = Format::ALL.into_iter().filter(|other| *other != format);
-    others.for_each(|other| converted(other, &read.cloud, &options));
 }
 
-/// Whatever can be used is written by every format, or refused with a sentence, and what is written is read.
-fn converted(format: Format, cloud: &Gaussians, options: &Options) {
-    // These take milliseconds, for their compression.
-    if matches!(format, Format::Spz | Format::Sog) && cloud.len() > CONVERTED_MAX {
-        return;
+/// Whatever numbers a cloud holds: without what cannot be shown, every format takes it or says why not, and what is written
+/// is read again whole.
+fn values(bytes: &[u8]) {
+    let numbers: Vec<f32> = bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let (rows, _) = numbers.as_chunks::<VALUES_PER_ROW>();
+    let mut cloud = Gaussians { filter_3d: Some(vec![0.0; rows.len()]), ..Gaussians::zeros(rows.len()) };
+    for (row, [x, y, z, sx, sy, sz, a, b, c, d, opacity, filter, sh @ ..]) in rows.iter().enumerate() {
+        cloud.positions[row] = [*x, *y, *z];
+        cloud.log_scales[row] = [*sx, *sy, *sz];
+        cloud.rotations[row] = [*a, *b, *c, *d];
+        cloud.opacity_logits[row] = *opacity;
+        cloud.sh[row] = *sh;
+        cloud.filter_3d.iter_mut().for_each(|filters| filters[row] = *filter);
     }
-    let Some(file) = said(bytes::written(format, cloud, options)) else { return };
-    let again = bytes::splat(format, &file).expect("what is written is read").cloud;
-    assert_eq!(again.len(), cloud.len());
+    let (sound, faults) = leave_out_faults(cloud);
+    assert!(sound.len() + faults.len() == rows.len() && faults.iter().all(|fault| !fault.to_string().is_empty()));
+    for format in Format::ALL {
+        let Some(file) = said(bytes::written(format, &sound, &Options::default())) else { continue };
+        let again = bytes::splat(format, &file).expect("what is written is read").cloud;
+        assert_eq!(again.len(), sound.len(), "{format:?}");
+    }
 }
 
 /// Zeros of either sign are equal, and nothing that was read is NaN.

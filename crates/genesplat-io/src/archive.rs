@@ -87,9 +87,11 @@ pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let mut written = Vec::new();
     let unpacked = each_entry(archive, BufReader::new(file), bytes, |name, content| {
         let file = folder.join(name);
-        atomic::write_unflushed(&file, |out| io::copy(content, out).map(drop)).map_err(|source| match source.kind() {
-            ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
-            _ => ArchiveError::Write { file: file.clone(), source },
+        atomic::write_unflushed(&file, |out| io::copy(content, out).map(drop)).map_err(|source| {
+            match source.kind() {
+                ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
+                _ => ArchiveError::Write { file: file.clone(), source },
+            }
         })?;
         written.push(file);
         Ok(())

@@ -26,7 +26,10 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> 
 
 /// The same for one of many files that [`flush`] puts on the disk together: until then, a machine that loses its power may
 /// lose what is in it.
-pub(crate) fn write_unflushed(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
+pub(crate) fn write_unflushed(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
     write(path, |_| Ok(()), fill)
 }
 

@@ -52,7 +52,8 @@ fn beyond(cloud: &Gaussians, row: usize, filter: f32) -> Option<(&'static str, &
         ("colour", is_beyond(&cloud.sh[row])),
         ("filter_3D", is_beyond(&[filter])),
     ];
-    let other = || others.iter().find(|(_, is_beyond)| *is_beyond).map(|(parameter, _)| (*parameter, "lies beyond 1e9"));
+    let other =
+        || others.iter().find(|(_, is_beyond)| *is_beyond).map(|(parameter, _)| (*parameter, "lies beyond 1e9"));
     position.or(size).or_else(other)
 }
 

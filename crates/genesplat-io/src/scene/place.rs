@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::colmap;
-use crate::visited::Visited;
 use crate::similar::{entries, is_transforms};
+use crate::visited::Visited;
 
 /// How far up or down a scene may be: from `colmap/sparse/0/images.bin`.
 const LEVELS: usize = 4;

@@ -12,8 +12,8 @@ use crate::run::CLOUD;
 use crate::run::metrics::Metrics;
 use crate::run::session::has_checkpoint;
 use crate::splat::{self, Splat};
-use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::numbers::memory as in_words;
+use crate::terminal::numbers::{duration, thousands};
 
 /// A Gaussian is invisible below this opacity: no pixel shows it.
 const INVISIBLE: f32 = 1.0 / 255.0;

@@ -4,8 +4,8 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::time::{Duration, Instant};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow};
 use genesplat::io::atomic::end_process;
@@ -37,14 +37,16 @@ struct Stopping {
 pub(crate) fn hear() -> Result<()> {
     listen(|| match stopping() {
         // One that is being stopped may read again what it shows.
-        Some(Stopping { stop, words, first }) if stop.load(Ordering::Relaxed) || !is_preparing() => match Wish::at(Instant::now(), &first) {
-            Wish::Stop => {
-                stop.store(true, Ordering::Relaxed);
-                output::tell(words);
+        Some(Stopping { stop, words, first }) if stop.load(Ordering::Relaxed) || !is_preparing() => {
+            match Wish::at(Instant::now(), &first) {
+                Wish::Stop => {
+                    stop.store(true, Ordering::Relaxed);
+                    output::tell(words);
+                }
+                Wish::Same => {}
+                Wish::Abort => end_process(STOPPED.into()),
             }
-            Wish::Same => {}
-            Wish::Abort => end_process(STOPPED.into()),
-        },
+        }
         _ => end(),
     })
 }
