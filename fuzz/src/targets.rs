@@ -134,6 +134,9 @@ fn values(bytes: &[u8]) {
     }
     let (sound, faults) = leave_out_faults(cloud);
     assert!(sound.len() + faults.len() == rows.len() && faults.iter().all(|fault| !fault.to_string().is_empty()));
+    if sound.is_empty() {
+        return;
+    }
     for format in Format::ALL {
         let Some(file) = said(bytes::written(format, &sound, &Options::default())) else { continue };
         let again = bytes::splat(format, &file).expect("what is written is read").cloud;

@@ -234,7 +234,7 @@ pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Option
         Format::Splat => Ok(splat::encode(&baked()?)),
         Format::Spz => spz::encode(path, &baked()?, options),
         Format::Sog => sog::encode(path, &baked()?, options),
-        Format::Glb => glb::encode(path, &baked()?),
+        Format::Glb => glb::encode(path, baked()?),
     }
 }
 
