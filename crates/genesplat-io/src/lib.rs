@@ -18,6 +18,7 @@ mod scene;
 mod shown;
 mod similar;
 mod transforms;
+mod visited;
 
 pub use error::SceneError;
 pub use format::{Format, FormatError};
@@ -29,3 +30,4 @@ pub use scene::{
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};
+pub use visited::Visited;

@@ -156,14 +156,29 @@ pub(crate) fn intrinsics_problem(
     const SIDE_MAX_PX: f64 = (1 << 20) as f64;
     /// The same for focal lengths and, to either side, principal points.
     const LENGTH_MAX_PX: f64 = 1e9;
+    /// The least focal length: with a shorter one, a photo shows more than half of the sky within f32's resolution.
+    const FOCAL_MIN_PX: f64 = 1e-3;
     if !size_px.iter().all(|side| (1.0..=SIDE_MAX_PX).contains(side)) {
         Some("has an impossible image size")
     } else if !focal_px.iter().all(|focal| focal.is_finite() && *focal > 0.0) {
         Some("has a focal length that is not a positive number")
     } else if !principal_px.iter().all(|coordinate| coordinate.is_finite()) {
         Some("has a principal point that is not finite")
+    } else if focal_px.iter().any(|focal| *focal < FOCAL_MIN_PX) {
+        Some("has a focal length below 1e-3 pixels")
     } else if focal_px.iter().chain(&principal_px).any(|length| length.abs() > LENGTH_MAX_PX) {
         Some("has a focal length or a principal point beyond 1e9 pixels")
+    } else {
+        None
+    }
+}
+
+/// What makes the coefficients of a lens impossible, if anything does.
+pub(crate) fn coefficients_problem(coefficients: &[f64]) -> Option<&'static str> {
+    if !coefficients.iter().all(|value| value.is_finite()) {
+        Some("has distortion coefficients that are not finite")
+    } else if coefficients.iter().any(|value| value.abs() > COORDINATE_MAX) {
+        Some("has distortion coefficients beyond 1e9")
     } else {
         None
     }

@@ -36,6 +36,7 @@ pub mod numbers;
 pub mod output;
 pub mod overwrite;
 pub mod photos;
+pub mod preparing;
 pub mod report;
 pub mod reporter;
 pub mod scene;

@@ -9,6 +9,7 @@ use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, command_line, list_
 use genesplat_train::Background;
 
 use crate::output;
+use crate::preparing;
 use crate::scene;
 use crate::session::has_checkpoint;
 use crate::settings::{ConfigFile, Dataset, PhotosAsked};
@@ -113,6 +114,7 @@ pub fn open_unchecked(path: &Path) -> Result<Splat> {
 }
 
 fn open_by(read: Read, path: &Path) -> Result<Splat> {
+    let _preparing = preparing::begin();
     ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
     if path.is_dir() { open_run(read, path) } else { open_file(read, path) }
 }

@@ -46,7 +46,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
         None => Some(Lock::take(&args.out)?),
     };
     device::use_threads(args.machine.threads)?;
-    let stop = interrupt::stop_flag()?;
+    let stop = interrupt::stop_flag();
     let lpips = lpips::open(&args.lpips.asked())?;
     let device = Some(args.machine.device.unwrap_or_default().resolve()?);
     let runner = Runner {

@@ -31,7 +31,7 @@ pub(crate) use poses::PosesArgs;
 pub(crate) use train::{OldArgs, SearchArgs, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, poses, refine, render, demo)";
+                           SIGTERM with what there was saved";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///

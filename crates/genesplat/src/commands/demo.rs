@@ -52,7 +52,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
         halves.into_iter().map(|(method, genetic)| Half::new(args, method, genetic)).collect::<Result<_>>()?;
     check_gallery(&args.out)?;
     device::use_threads(args.machine.threads)?;
-    let stop = interrupt::stop_flag()?;
+    let stop = interrupt::stop_flag();
     let lpips = lpips::open(&args.lpips.asked())?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
     let mut results = Vec::new();

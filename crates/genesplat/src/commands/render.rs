@@ -47,7 +47,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         return render_path::run(args, path);
     }
     device::use_threads(args.splat.machine.threads)?;
-    let stop = interrupt::stop_flag_saying(STOPPING)?;
+    let stop = interrupt::stop_flag_saying(STOPPING);
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
     let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;

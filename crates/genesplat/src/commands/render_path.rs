@@ -28,7 +28,7 @@ const RATE: &str = "30";
 
 pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
     device::use_threads(args.splat.machine.threads)?;
-    let stop = interrupt::stop_flag_saying(STOPPING)?;
+    let stop = interrupt::stop_flag_saying(STOPPING);
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
     let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;

@@ -31,11 +31,11 @@ use crate::unpacked;
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if !cluster::is_member() {
         cluster::notice_other_starters();
-        let stop = interrupt::stop_flag()?;
+        let stop = interrupt::stop_flag();
         cluster::stop_as_ranks_do(&stop)?;
         return run_on(args, &stop, None);
     }
-    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out, end)?;
+    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING), &args.out, end)?;
     if !cluster.is_root() {
         output::set_volume(Volume::Quiet);
     }
@@ -84,7 +84,7 @@ struct Loaded {
     lpips: Option<Lpips>,
 }
 
-/// One process claims the folder. `None` where it was stopped while it looked for cameras.
+/// One process claims the folder. `None` where it was stopped before it loaded anything.
 fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Option<Loaded>> {
     overwrite::check_apart(&args.dataset, &args.out)?;
     let session = match cluster {
@@ -102,6 +102,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);
     }
+    let Some(_preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     if !args.poses && archive::is_zip(&args.dataset) {
         unpacked::unpack(&args.dataset, &args.scene())?;
     }

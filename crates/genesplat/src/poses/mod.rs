@@ -22,7 +22,7 @@ use genesplat::io::{plural, shown};
 use engine::Engine;
 use genesplat::run::files::unwritable;
 use genesplat::run::lock::Lock;
-use genesplat::run::output;
+use genesplat::run::{output, preparing};
 use photos::Source;
 use stages::Job;
 pub(crate) use summary::Summary;
@@ -50,6 +50,7 @@ pub(crate) struct Request<'a> {
 
 /// The cameras of the photos, found now or earlier; `None` where `stop` has ended the search, which can go on.
 pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
+    let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     let source = Source::open(request.photos, request.frames)?;
     let work = claim(request.out, &source)?;
     let _lock = Lock::take(&work)?;
@@ -60,6 +61,7 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));
     }
+    drop(preparing);
     let prepared = Engine::find().and_then(|engine| prepare(request, &source, &work, engine, stop));
     if prepared.is_err() && is_new {
         photos::forget(request.out, &work);
@@ -81,10 +83,13 @@ fn prepare(
     stop: &AtomicBool,
 ) -> Result<Option<(Engine, Vec<String>, Job)>> {
     let images = request.out.join(IMAGES);
+    let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     source.check_photos()?;
+    drop(preparing);
     if !heic::convert(&source.heic(&images), &engine, work, stop)? || !source.fill(&images, work, stop)? {
         return Ok(None);
     }
+    let Some(_preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     let names = photos::names_in(&images)?;
     ensure!(
         names.len() >= PHOTOS_MIN,

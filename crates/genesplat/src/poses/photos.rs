@@ -1,6 +1,7 @@
 //! The photos that cameras are found for: those of a folder or of an archive, or frames of a video.
 
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, BinaryHeap};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -8,9 +9,9 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
-use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown};
+use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, shown};
 use genesplat::run::files::{link_or_copy, unwritable, write_json};
-use genesplat::run::output;
+use genesplat::run::{output, preparing};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -139,6 +140,7 @@ impl Source {
 
     /// Puts the photos into `images`, and their masks beside it; false where `stop` has ended it.
     pub(crate) fn fill(&self, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
+        let Some(preparing) = preparing::begin_unless(stop) else { return Ok(false) };
         match self {
             Self::Folder(photos) => photos.put(images).map(|()| true),
             Self::Archive { path } => {
@@ -146,7 +148,11 @@ impl Source {
                 unpacked::unpack(path, &unpacked)?;
                 photos_of(&unpacked)?.put(images).map(|()| true)
             }
-            Self::Video { path, frames } => video::take_frames(path, *frames, images, work, stop),
+            Self::Video { path, frames } => {
+                // Ffmpeg is a process of its own, which is to end first.
+                drop(preparing);
+                video::take_frames(path, *frames, images, work, stop)
+            }
         }
     }
 }
@@ -270,11 +276,15 @@ struct Found {
     masks: Vec<PathBuf>,
 }
 
-/// Looks into all folders but those of masks and hidden ones.
+/// Looks into all folders but those of masks and hidden ones: once into each, and by its own name rather than by a link's.
 fn list(folder: &Path) -> Result<Found> {
-    let (mut found, mut folders) = (Found::default(), vec![PathBuf::new()]);
-    while let Some(inner) = folders.pop() {
+    let (mut found, mut visited) = (Found::default(), Visited::default());
+    let (mut folders, mut links) = (vec![PathBuf::new()], BinaryHeap::new());
+    while let Some(inner) = folders.pop().or_else(|| links.pop().map(|Reverse(link)| link)) {
         let path = folder.join(&inner);
+        if path.exists() && !visited.is_new(&path) {
+            continue;
+        }
         let entries = fs::read_dir(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
         for entry in entries.flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
@@ -283,6 +293,7 @@ fn list(folder: &Path) -> Result<Found> {
             match entry.path().is_dir() {
                 _ if name.starts_with('.') => {}
                 true if name.starts_with("mask") => found.masks.push(entry.path()),
+                true if entry.path().is_symlink() => links.push(Reverse(relative)),
                 true => folders.push(relative),
                 false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(text),
                 false if has_ending(&name, &UNREAD) => found.others.push(text),
@@ -310,6 +321,21 @@ mod tests {
     fn file(folder: &Path, name: &str) {
         fs::create_dir_all(folder.join(name).parent().unwrap()).unwrap();
         fs::write(folder.join(name), name).unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn folders_that_links_lead_to_are_looked_into_once_by_their_own_names() {
+        use std::os::unix::fs::symlink;
+
+        let place = tempfile::tempdir().unwrap();
+        let [photos, elsewhere] = ["photos", "elsewhere"].map(|name| place.path().join(name));
+        ["b/2.jpg", "1.jpg"].iter().for_each(|name| file(&photos, name));
+        file(&elsewhere, "3.jpg");
+        let links =
+            [("a", "b"), ("round", "."), ("again", "."), ("b/up", ".."), ("x", "../elsewhere"), ("w", "../elsewhere")];
+        links.iter().for_each(|(name, to)| symlink(to, photos.join(name)).unwrap());
+        assert_eq!(list(&photos).unwrap().photos, ["1.jpg", "b/2.jpg", "w/3.jpg"]);
     }
 
     #[test]

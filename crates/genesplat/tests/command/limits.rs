@@ -6,10 +6,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use genesplat::core::Gaussians;
 use genesplat::gallery::{self, GalleryOptions};
+use genesplat::io::{Format, PlyOptions, write_ply};
 
 use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
-use crate::support::{command, json, judge_failure, limited, number, scene, succeed, train};
+use crate::support::{command, json, judge_failure, limited, number, scene, succeed, text, train};
 
 fn under(limits: &str, arguments: &[String]) -> Output {
     limited(limits, &command(arguments)).output().unwrap()
@@ -118,4 +120,39 @@ fn a_thread_that_cannot_be_started_is_a_sentence() {
     let mut run = limited("-v 1100000", &command(&arguments));
     let output = run.env("RUST_MIN_STACK", (300 << 20).to_string()).env("MALLOC_ARENA_MAX", "1").output().unwrap();
     judge_failure(output, &["cannot start 1000 threads", "fewer --threads"]);
+}
+
+/// A splat as large as what a process has beside it, so that each of its copies may be the one that finds no memory.
+#[test]
+fn a_splat_that_is_larger_than_memory_is_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let [small, large] = [1, 60_000].map(|rows| {
+        let file = place.path().join(format!("{rows}.ply"));
+        write_ply(&file, &Gaussians::zeros(rows), &PlyOptions::default()).unwrap();
+        file
+    });
+    let within = |limit: u32, arguments: &[&str]| {
+        let mut run = limited(&format!("-v {}", limit * 1024), &command(arguments));
+        run.env("MALLOC_ARENA_MAX", "1").output().unwrap()
+    };
+    let starts = |limit: &u32| within(*limit, &["inspect", text(&small)]).status.success();
+    let least = (16..1000).step_by(4).find(starts).expect("a process starts");
+    let outs = Format::ALL.map(|format| place.path().join(format!("out{}", format.ending())));
+    let convert = outs.iter().map(|out| vec!["convert", text(&large), text(out), "--threads", "1"]);
+    for arguments in convert.chain([vec!["inspect", text(&large)]]) {
+        let (mut failed, mut done) = (0, 0);
+        for limit in (least + 2..least + 200).step_by(9) {
+            let output = within(limit, &arguments);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            match output.status.code() {
+                Some(0) => done += 1,
+                _ => {
+                    judge_failure(output, &[]);
+                    failed += 1;
+                }
+            }
+            assert!(!said.contains("memory allocation of"), "{arguments:?} within {limit} MiB: {said}");
+        }
+        assert!(failed >= 1 && done >= 1, "{arguments:?}: {failed} failed, {done} came to their end");
+    }
 }

@@ -21,6 +21,7 @@ mod real_scene;
 mod resume;
 mod run_folder;
 mod scale;
+mod signals;
 mod support;
 mod tensorboard;
 mod terminal;
