@@ -10,9 +10,8 @@ use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-use crate::atomic::write_atomically;
 use crate::similar::{CONVERT, UNREAD, has_ending};
-use crate::{input, shown};
+use crate::{input, own, shown};
 
 /// Endings of all that scenes consist of.
 const ENDINGS: [&str; 8] = ["jpg", "jpeg", "png", "webp", "bin", "txt", "json", "ply"];
@@ -84,7 +83,7 @@ pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let bytes = file.metadata().map_err(read)?.len();
     each_entry(archive, BufReader::new(file), bytes, |name, content| {
         let file = folder.join(name);
-        let written = write_atomically(&file, |out| io::copy(content, out).map(drop));
+        let written = own::write(folder, name, |out| io::copy(content, out).map(drop));
         written.map_err(|source| match source.kind() {
             ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
             _ => ArchiveError::Write { file, source },

@@ -3,8 +3,9 @@
 //! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then renamed. A
 //! full disk or a killed process leaves the old file, never a partial one.
 //!
-//! Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe, a terminal, a device) takes the
-//! bytes as they come, since a rename would put a file in its place.
+//! This is for names that users give. Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe,
+//! a terminal, a device) takes the bytes as they come, since a rename would put a file in its place. Names of ours are for
+//! [`crate::own`].
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind};
@@ -27,6 +28,11 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> 
 /// Fails where [`write_atomically`] would, as far as that is known before anything is written. Leaves nothing behind.
 pub fn check_writable(path: &Path) -> io::Result<()> {
     let Target::File(path) = Target::of(path)? else { return Ok(()) };
+    probe(&path)
+}
+
+/// The same for a path without links.
+pub(crate) fn probe(path: &Path) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default();
     // Folders that are missing will be made in the first one that is there; nothing else is sure before.
     let there = path.ancestors().skip(1).find(|folder| folder.exists()).unwrap_or(Path::new(""));
@@ -67,18 +73,68 @@ fn behind_links(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("its symbolic links lead round and round"))
 }
 
-fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
+/// Puts a new file at `path`, whatever file or link has that name.
+pub(crate) fn replace(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    let unfinished = Unfinished::at(path)?;
+    fill_file(unfinished.file.try_clone()?, fill)?;
+    unfinished.finish()
+}
+
+/// A file under way, under a temporary name beside the place that it takes once it is whole. Dropped before, it is gone.
+#[derive(Debug)]
+pub struct Unfinished {
+    temporary: PathBuf,
+    file: File,
+    path: PathBuf,
+    is_finished: bool,
+}
+
+impl Unfinished {
+    /// An empty file that becomes the one at `path`, or behind it where it is a link; missing folders are made. Fails where
+    /// `path` is a stream.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        match Target::of(path)? {
+            Target::File(path) => Self::at(&path),
+            Target::Stream => Err(io::Error::new(ErrorKind::InvalidInput, "it is no regular file, and one is needed")),
+        }
     }
-    let (temporary, file) = create_beside(path)?;
-    let written = fill_file(file, fill).and_then(|file| file.sync_all());
-    let replaced = written.and_then(|()| fs::rename(&temporary, path));
-    if replaced.is_err() {
-        // The first error is the one to report; a leftover is only litter.
-        let _ = fs::remove_file(&temporary);
+
+    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let (temporary, file) = create_beside(path)?;
+        Ok(Self { temporary, file, path: path.to_owned(), is_finished: false })
     }
-    replaced
+
+    /// Where it is now: for programs of others, which are given a name.
+    pub fn temporary(&self) -> &Path {
+        &self.temporary
+    }
+
+    pub(crate) fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Flushes it to the disk, and gives it its name.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.file.sync_all()?;
+        fs::rename(&self.temporary, &self.path)?;
+        self.is_finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if !self.is_finished {
+            // Only litter.
+            let _ = fs::remove_file(&self.temporary);
+        }
+    }
 }
 
 fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<File> {

@@ -34,7 +34,7 @@ pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs, is_near};
 pub(crate) use poses::PosesArgs;
-pub(crate) use train::{SearchArgs, TrainArgs};
+pub(crate) use train::{SCENE, SearchArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
 const MORE: &str = "More options";

@@ -9,7 +9,7 @@ use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 
 use super::Ending;
-use crate::args::TrainArgs;
+use crate::args::{SCENE, TrainArgs};
 use crate::cluster::Cluster;
 use crate::device::DeviceChoice;
 use crate::poses::{self, Request};
@@ -20,7 +20,7 @@ use crate::run::{CLOUD, REPORT};
 use crate::settings::{ConfigFile, Settings};
 use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
-use crate::{cluster, device, lpips, overwrite, scene, unpacked};
+use crate::{cluster, device, files, lpips, overwrite, scene, unpacked};
 
 /// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
 /// mistyped path nor a change of mind must cost them.
@@ -84,6 +84,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         cluster::check(args, &config.train)?;
         machine.device = Some(DeviceChoice::Cpu);
     }
+    files::check_name(&args.out, Path::new(SCENE).join("sparse"))?;
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
     if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);

@@ -22,7 +22,7 @@ use crate::args::MachineArgs;
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
-use crate::run::{METRICS, TEST};
+use crate::run::{FOLDERS, METRICS};
 use crate::settings::Settings;
 use crate::{files, scene};
 
@@ -138,7 +138,7 @@ impl<'a> Runner<'a> {
         let in_cells = self.experiment.cells().into_iter().flat_map(|cell| {
             let folder = self.folder(cell);
             let up = folder.ancestors().take_while(|above| above.starts_with(self.out)).map(Path::to_owned);
-            up.chain([folder.join(TEST)]).collect::<Vec<_>>()
+            up.chain(FOLDERS.map(|part| folder.join(part))).collect::<Vec<_>>()
         });
         in_scenes.chain(in_cells).for_each(|folder| files::remove_leftovers(&folder));
     }

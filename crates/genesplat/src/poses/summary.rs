@@ -9,7 +9,7 @@ use anyhow::{Result, anyhow, bail};
 use genesplat::io::colmap::{find_model, read_model};
 use serde::{Deserialize, Serialize};
 
-use crate::files::write_json;
+use crate::files::write_own_json;
 use crate::terminal::numbers::thousands;
 
 /// Below the folder of the stages; where it is, the search is done.
@@ -73,7 +73,7 @@ impl Summary {
     }
 
     pub(crate) fn write(&self, work: &Path) -> Result<()> {
-        write_json(&work.join(SUMMARY), self)
+        write_own_json(work, SUMMARY, self)
     }
 
     /// One line of figures, and one of advice where photos were left out.

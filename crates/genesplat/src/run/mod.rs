@@ -37,7 +37,11 @@ pub(crate) const CLOUD: &str = "point_cloud.ply";
 pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 pub(crate) const TEST: &str = "test";
 pub(crate) const SNAPSHOTS: &str = "snapshots";
+pub(crate) const CHECKPOINTS: &str = "checkpoint";
 pub(crate) const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
 const RESULTS: [&str; 7] = [METRICS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
+
+/// The folders of a run in which files are written whole.
+pub(crate) const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];

@@ -78,8 +78,8 @@ fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
     fs::create_dir_all(&out).unwrap();
     fs::create_dir(&programs).unwrap();
     let ffmpeg = programs.join("ffmpeg");
-    // The last word is the file to write.
-    let program = "#!/bin/sh\nfor file; do :; done\n: >\"$file\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
+    // The last word is the file to write, after its protocol.
+    let program = "#!/bin/sh\nfor file; do :; done\n: >\"${file#file:}\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
     fs::write(&ffmpeg, program).unwrap();
     fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
