@@ -84,7 +84,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         cluster::check(args, &config.train)?;
         machine.device = Some(DeviceChoice::Cpu);
     }
-    files::check_name(&args.out, Path::new(SCENE).join("sparse"))?;
+    files::check_name(&args.out, Path::new(SCENE).join("file"))?;
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
     if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);

@@ -8,6 +8,7 @@ mod convert;
 mod determinism;
 mod disk;
 mod experiment;
+mod foreign_folders;
 mod hostile;
 mod inspect;
 mod kills;
