@@ -74,10 +74,7 @@ fn behind_links(path: &Path) -> io::Result<PathBuf> {
 }
 
 /// Puts a new file at `path`, whatever file or link has that name.
-pub(crate) fn replace(
-    path: &Path,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
+pub(crate) fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     let unfinished = Unfinished::at(path)?;
     fill_file(unfinished.file.try_clone()?, fill)?;
     unfinished.finish()

@@ -30,24 +30,27 @@ pub fn write(
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
     let path = place(folder, name.as_ref())?;
-    match kind(&path)? {
-        Some(there) if !there.is_symlink() => check_file(&path, there)?,
-        _ => {}
+    if let Some(there) = kind(&path)?.filter(|there| !there.is_symlink()) {
+        check_file(&path, there)?;
     }
     replace(&path, fill)
+}
+
+/// The file `name` in `folder`, made where it is missing, for who only locks it.
+pub fn touch(folder: &Path, name: impl AsRef<Path>) -> io::Result<File> {
+    open_to_append(&place(folder, name.as_ref())?)
 }
 
 /// The file `name` in `folder`, at its end; made where it is missing. One that has other names, too, becomes a file of its
 /// own: the others may be the user's.
 pub fn append(folder: &Path, name: impl AsRef<Path>) -> io::Result<File> {
     let path = place(folder, name.as_ref())?;
-    let open = || open_regular(&path, OpenOptions::new().create(true).append(true));
-    let file = open()?;
+    let file = open_to_append(&path)?;
     if !has_other_names(&file.metadata()?) {
         return Ok(file);
     }
     copy(&path, &path)?;
-    open()
+    open_to_append(&path)
 }
 
 /// The file `name` in `folder`, empty, whatever was there before.
@@ -98,9 +101,13 @@ pub fn make_folder(folder: &Path, name: impl AsRef<Path>) -> io::Result<PathBuf>
     let mut path = folder.to_owned();
     for part in parts(name.as_ref())? {
         path.push(part);
-        match fs::create_dir(&path) {
-            Err(error) => kind(&path)?.map_or(Err(error), |there| check_folder(&path, there))?,
-            Ok(()) => {}
+        if kind(&path)?.is_none() && fs::create_dir(&path).is_ok() {
+            continue;
+        }
+        // There, or made by another process meanwhile, or not to be made.
+        match kind(&path)? {
+            Some(there) => check_folder(&path, there)?,
+            None => fs::create_dir(&path)?,
         }
     }
     Ok(path)
@@ -189,6 +196,10 @@ fn not_ours(path: &Path, there: FileType, wanted: &'static str) -> io::Error {
     io::Error::new(ErrorKind::InvalidInput, NotOurs { path: path.to_owned(), what, wanted })
 }
 
+fn open_to_append(path: &Path) -> io::Result<File> {
+    open_regular(path, OpenOptions::new().create(true).append(true))
+}
+
 /// Opens a regular file, and nothing else; what is behind a link is not touched.
 fn open_regular(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     // Where the system cannot be told so, a look before is all there is.
@@ -246,12 +257,8 @@ fn is_one_file(_: &Metadata, _: &Metadata) -> bool {
 
 /// Whether a link cannot be made on this file system, or to this file; all else is an error to report.
 fn makes_no_links(error: &io::Error) -> bool {
-    let of_kind = [
-        ErrorKind::CrossesDevices,
-        ErrorKind::Unsupported,
-        ErrorKind::PermissionDenied,
-        ErrorKind::TooManyLinks,
-    ];
+    let of_kind =
+        [ErrorKind::CrossesDevices, ErrorKind::Unsupported, ErrorKind::PermissionDenied, ErrorKind::TooManyLinks];
     // FAT on Windows: ERROR_INVALID_FUNCTION.
     of_kind.contains(&error.kind()) || (cfg!(windows) && error.raw_os_error() == Some(1))
 }
@@ -399,9 +406,14 @@ mod tests {
         fs::write(run.join("b"), "of the u").unwrap();
         fs::write(run.join("c"), "of the usex").unwrap();
         assert!(["b", "c"].iter().all(|torn| !is_same(&precious, &run.join(torn)).unwrap()));
-        let links: Vec<bool> = [18, 95, 1, 31, 17, 28, 2].map(|code| makes_no_links(&io::Error::from_raw_os_error(code))).into();
+        let links: Vec<bool> =
+            [18, 95, 1, 31, 17, 28, 2].map(|code| makes_no_links(&io::Error::from_raw_os_error(code))).into();
         if cfg!(target_os = "linux") {
-            assert_eq!(links, [true, true, true, true, false, false, false], "EXDEV EOPNOTSUPP EPERM EMLINK; EEXIST ENOSPC ENOENT");
+            assert_eq!(
+                links,
+                [true, true, true, true, false, false, false],
+                "EXDEV EOPNOTSUPP EPERM EMLINK; EEXIST ENOSPC ENOENT"
+            );
         }
     }
 }

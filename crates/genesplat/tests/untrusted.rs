@@ -73,7 +73,7 @@ fn is_of_tests(name: &str) -> bool {
 fn files_and_names_of_strangers_come_through_the_doors() {
     let mut seen = 0;
     let crates_there = fs::read_dir(crates()).unwrap().map(|entry| entry.unwrap().path().join("src"));
-    for file in crates_there.flat_map(|folder| sources(&folder))) {
+    for file in crates_there.flat_map(|folder| sources(&folder)) {
         let name = file.strip_prefix(crates()).unwrap().to_str().unwrap().replace('\\', "/");
         if is_of_tests(&name) {
             continue;

@@ -99,7 +99,9 @@ fn gallery_in(out: &Path) -> PathBuf {
 /// Fails where there is a gallery that no demo has built, or a page or picture without one, since ours would be written over it.
 fn check_gallery(out: &Path) -> Result<()> {
     let folder = &gallery_in(out);
-    [PICTURE, PAGE, "gallery/images/gallery_000.png", "gallery/sparse/0/images.bin"].iter().try_for_each(|name| files::check_name(out, name))?;
+    [PICTURE, PAGE, "gallery/images/gallery_000.png", "gallery/sparse/0/images.bin"]
+        .iter()
+        .try_for_each(|name| files::check_name(out, name))?;
     let strange = [PICTURE, PAGE].map(|name| out.join(name)).into_iter().find(|file| file.exists() && !folder.exists());
     if let Some(file) = strange {
         bail!("{} is of no earlier demo, and would be written over; choose another --out", shown(&file));

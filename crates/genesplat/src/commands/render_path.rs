@@ -115,13 +115,16 @@ impl Sink {
         }
         let unfinished = Unfinished::of(out).map_err(|error| unwritable(out, &error))?;
         let Camera { width, height, .. } = cameras[0];
-        let ffmpeg = ffmpeg(unfinished.temporary(), &ending(out), [width, height]).spawn().map_err(|error| match error.kind() {
-            ErrorKind::NotFound => anyhow!(
-                "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
-                shown(out)
-            ),
-            _ => anyhow!("cannot start ffmpeg: {error}"),
-        })?;
+        let ffmpeg =
+            ffmpeg(unfinished.temporary(), &ending(out), [width, height]).spawn().map_err(|error| {
+                match error.kind() {
+                    ErrorKind::NotFound => anyhow!(
+                        "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
+                        shown(out)
+                    ),
+                    _ => anyhow!("cannot start ffmpeg: {error}"),
+                }
+            })?;
         Ok(Self::Film(Film { ffmpeg, unfinished: Some(unfinished), path: out.to_owned() }))
     }
 

@@ -56,7 +56,9 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     let work = claim(request.out, &source)?;
     own::check_entries(&work).map_err(|error| unwritable(&work, &error))?;
     let _lock = Lock::take(&work)?;
-    [&work, &request.out.join(IMAGES), &request.out.join(masks::FOLDER)].into_iter().for_each(|f| remove_leftovers_below(f));
+    [&work, &request.out.join(IMAGES), &request.out.join(masks::FOLDER)]
+        .into_iter()
+        .for_each(|f| remove_leftovers_below(f));
     // Whatever is there already is the user's, and stays.
     let is_new =
         !photos::is_begun(&work) && [IMAGES, masks::FOLDER].iter().all(|name| !request.out.join(name).exists());

@@ -31,7 +31,7 @@ impl Lock {
     }
 
     fn by(folder: &Path, lock: fn(&File) -> Result<(), TryLockError>) -> Result<Self> {
-        let file = own::append(folder, LOCK).map_err(|error| unwritable(&folder.join(LOCK), &error))?;
+        let file = own::touch(folder, LOCK).map_err(|error| unwritable(&folder.join(LOCK), &error))?;
         // Some file systems have no locks: there it is up to the user, as it would be without this module.
         if matches!(lock(&file), Err(TryLockError::WouldBlock)) {
             bail!("another genesplat is writing to {}; wait for it or choose another --out", shown(folder));

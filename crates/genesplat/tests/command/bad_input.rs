@@ -134,10 +134,7 @@ fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let run = on_a_full_disk(command(train(scene(), &out, &["--iterations", "20"])), "log.jsonl").output().unwrap();
-    judge_failure(
-        run,
-        &["log.jsonl", "No space left", "--resume goes on from there", "--resume"],
-    );
+    judge_failure(run, &["log.jsonl", "No space left", "--resume goes on from there", "--resume"]);
     assert!(out.join("point_cloud.ply").exists() && !out.join("metrics.json").exists());
     succeed(train(scene(), &out, &["--resume", "--iterations", "20"]));
 }

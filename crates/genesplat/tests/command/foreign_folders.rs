@@ -57,7 +57,8 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
     let (precious, broken) = (precious(place.path()), place.path().join("broken"));
     break_run(&broken);
     let events = "tensorboard/events.out.tfevents.genesplat";
-    let names = ["log.jsonl", "metrics.json", "point_cloud.ply", "point_cloud_fused.ply", "report.html", ".lock", events];
+    let names =
+        ["log.jsonl", "metrics.json", "point_cloud.ply", "point_cloud_fused.ply", "report.html", ".lock", events];
     for (index, name) in names.iter().enumerate() {
         for planted in Planted::ALL {
             let run = place.path().join(format!("{index}-{planted:?}"));

@@ -38,7 +38,8 @@ pub(crate) const SCHEDULE: [&str; 6] = [
 ];
 
 fn kills() -> usize {
-    let wanted = std::env::var("GENESPLAT_KILLS").map_or(120, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
+    let wanted =
+        std::env::var("GENESPLAT_KILLS").map_or(120, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
     wanted / SCENARIOS
 }
 
@@ -265,9 +266,8 @@ fn split_withstands_kills(name: &str, start: fn(Vec<String>) -> Command) {
     let [scene, whole] = ["scene", "whole"].map(|name| place.path().join(name));
     copy_scene(&scene);
     let before = all_files(&scene);
-    let arguments = |out: &Path| {
-        ["split", text(&scene), "--blocks", "2x1", "--out", text(out)].map(str::to_owned).to_vec()
-    };
+    let arguments =
+        |out: &Path| ["split", text(&scene), "--blocks", "2x1", "--out", text(out)].map(str::to_owned).to_vec();
     succeed(arguments(&whole));
     let wanted = all_files(&whole);
     let check_end = |out: &Path| {
