@@ -14,7 +14,7 @@ use zip::result::ZipError;
 
 use crate::atomic;
 use crate::similar::{CONVERT, UNREAD, has_ending};
-use crate::{input, shown};
+use crate::{input, own, shown};
 
 /// Endings of all that scenes consist of.
 const ENDINGS: [&str; 8] = ["jpg", "jpeg", "png", "webp", "bin", "txt", "json", "ply"];
@@ -87,7 +87,7 @@ pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let mut written = Vec::new();
     let unpacked = each_entry(archive, BufReader::new(file), bytes, |name, content| {
         let file = folder.join(name);
-        atomic::write_unflushed(&file, |out| io::copy(content, out).map(drop)).map_err(|source| {
+        own::write_unflushed(folder, Path::new(name), |out| io::copy(content, out).map(drop)).map_err(|source| {
             match source.kind() {
                 ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
                 _ => ArchiveError::Write { file: file.clone(), source },

@@ -3,8 +3,9 @@
 //! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then renamed. A
 //! full disk or a killed process leaves the old file, never a partial one.
 //!
-//! Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe, a terminal, a device) takes the
-//! bytes as they come, since a rename would put a file in its place.
+//! This is for names that users give. Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe,
+//! a terminal, a device) takes the bytes as they come, since a rename would put a file in its place. Names of ours are for
+//! [`crate::own`].
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
@@ -21,16 +22,10 @@ const LINKS_MAX: u32 = 40;
 ///
 /// On an error the temporary file is removed and whatever was at `path` before is still there.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
-    write(path, File::sync_all, fill)
-}
-
-/// The same for one of many files that [`flush`] puts on the disk together: until then, a machine that loses its power may
-/// lose what is in it.
-pub(crate) fn write_unflushed(
-    path: &Path,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
-    write(path, |_| Ok(()), fill)
+    match Target::of(path)? {
+        Target::File(path) => replace(&path, File::sync_all, fill),
+        Target::Stream => fill_file(OpenOptions::new().append(true).open(path)?, fill).map(|_| ()),
+    }
 }
 
 /// Waits until `files`, which are in `folder` or below it, are on the disk.
@@ -63,20 +58,14 @@ fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn write(
-    path: &Path,
-    flush: impl FnOnce(&File) -> io::Result<()>,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
-    match Target::of(path)? {
-        Target::File(path) => replace(&path, flush, fill),
-        Target::Stream => fill_file(OpenOptions::new().append(true).open(path)?, fill).map(|_| ()),
-    }
-}
-
 /// Fails where [`write_atomically`] would, as far as that is known before anything is written. Leaves nothing behind.
 pub fn check_writable(path: &Path) -> io::Result<()> {
     let Target::File(path) = Target::of(path)? else { return Ok(()) };
+    probe(&path)
+}
+
+/// The same for a path without links.
+pub(crate) fn probe(path: &Path) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default();
     // Folders that are missing will be made in the first one that is there; nothing else is sure before.
     let there = path.ancestors().skip(1).find(|folder| folder.exists()).unwrap_or(Path::new(""));
@@ -119,23 +108,74 @@ fn behind_links(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("its symbolic links lead round and round"))
 }
 
-fn replace(
+/// Puts a new file at `path`, whatever file or link has that name.
+pub(crate) fn replace(
     path: &Path,
     flush: impl FnOnce(&File) -> io::Result<()>,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
+    let unfinished = Unfinished::at(path)?;
+    fill_file(unfinished.file.try_clone()?, fill)?;
+    unfinished.finish_after(flush)
+}
+
+/// A file under way, under a temporary name beside the place that it takes once it is whole. Dropped before, it is gone.
+#[derive(Debug)]
+pub struct Unfinished {
+    temporary: PathBuf,
+    file: File,
+    path: PathBuf,
+    is_finished: bool,
+}
+
+impl Unfinished {
+    /// An empty file that becomes the one at `path`, or behind it where it is a link; missing folders are made. Fails where
+    /// `path` is a stream.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        match Target::of(path)? {
+            Target::File(path) => Self::at(&path),
+            Target::Stream => Err(io::Error::new(ErrorKind::InvalidInput, "it is no regular file, and one is needed")),
+        }
     }
-    let (temporary, file) = create_beside(path)?;
-    let written = fill_file(file, fill).and_then(|file| flush(&file));
-    let replaced = written.and_then(|()| fs::rename(&temporary, path));
-    if replaced.is_err() {
-        // The first error is the one to report; a leftover is only litter.
-        let _ = fs::remove_file(&temporary);
+
+    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let (temporary, file) = create_beside(path)?;
+        Ok(Self { temporary, file, path: path.to_owned(), is_finished: false })
     }
-    unfinished().remove(&temporary);
-    replaced
+
+    /// Where it is now: for programs of others, which are given a name.
+    pub fn temporary(&self) -> &Path {
+        &self.temporary
+    }
+
+    pub(crate) fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Flushes it to the disk, and gives it its name.
+    pub fn finish(self) -> io::Result<()> {
+        self.finish_after(File::sync_all)
+    }
+
+    fn finish_after(mut self, flush: impl FnOnce(&File) -> io::Result<()>) -> io::Result<()> {
+        flush(&self.file)?;
+        fs::rename(&self.temporary, &self.path)?;
+        self.is_finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if !self.is_finished {
+            // Only litter.
+            let _ = fs::remove_file(&self.temporary);
+        }
+        unfinished().remove(&self.temporary);
+    }
 }
 
 fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<File> {

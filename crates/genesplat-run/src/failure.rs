@@ -6,7 +6,7 @@ use genesplat_core::BackendError;
 use genesplat_io::shown;
 use genesplat_train::TrainError;
 
-use super::session::{Caller, has_checkpoint, no_rows, read_checkpoint};
+use super::session::{Caller, TakenOver, has_checkpoint, no_rows, read_checkpoint};
 use super::{CHECKPOINT, METRICS};
 
 /// `error`, and after its sentence what is left of the run in `folder`, and how to go on.
@@ -50,6 +50,9 @@ impl DeviceFailure {
 }
 
 fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String {
+    if error.is::<TakenOver>() {
+        return String::new();
+    }
     let failed = DeviceFailure::behind(error);
     let anew = match caller {
         Caller::Train => "the run has to begin anew",

@@ -66,8 +66,13 @@ pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 pub const TEST: &str = "test";
 /// The folder of splats that the live page had saved.
 pub(crate) const SNAPSHOTS: &str = "snapshots";
+/// The folder of [`CHECKPOINT`].
+pub(crate) const CHECKPOINTS: &str = "checkpoint";
 /// The state of an unfinished run.
 pub const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
 const RESULTS: [&str; 7] = [METRICS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
+
+/// The folders of a run in which files are written whole.
+pub(crate) const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];

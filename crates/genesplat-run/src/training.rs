@@ -221,13 +221,12 @@ impl Run<'_> {
             false => (&self.scene.train[..], self.lpips.filter(|_| session.writes()), self.stop),
         };
         let settings = self.settings.schedule.render_settings();
-        let pictures = session.path().join(TEST);
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
         let mut score = |views: &[View], folder: Option<&Path>| {
             let bar = bar("scores", 0, views.len() as u64);
             evaluate_until(stop, device, views, &settings, lpips, folder, bar)
         };
-        let Some(test) = score(&self.scene.test, session.writes().then_some(&*pictures))? else { return Ok(None) };
+        let Some(test) = score(&self.scene.test, session.writes().then_some(session.path()))? else { return Ok(None) };
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 

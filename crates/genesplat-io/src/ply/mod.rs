@@ -103,7 +103,8 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
     written.map_err(|source| PlyError::Write { path: path.to_owned(), source })
 }
 
-pub(crate) fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
+/// The bytes of the file, for who has opened it.
+pub fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
     out.write_all(header_bytes(cloud.len(), cloud.filter_3d.is_some(), options).as_slice())?;
     rows::write(cloud, 0..cloud.len(), options.sh_degree, out)
 }

@@ -1,5 +1,7 @@
 //! What is on the disk already: which cells are finished, and what must not be replaced by them.
 
+use std::path::Path;
+
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::{LoadOptions, Scene, load_points, shown};
 use genesplat::run::metrics::Metrics;
@@ -38,6 +40,7 @@ impl Runner<'_> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {
             let path = self.folder(cell);
+            check_name(self.out, Path::new(&self.experiment.folder(cell)).join(METRICS))?;
             ensure!(
                 !Metrics::are_foreign(&path),
                 "{} is not the figures of a run, and would be replaced; put it elsewhere, or choose another --out",

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use genesplat::core::Photo;
-use genesplat::io::photos::{read_photo, write_png};
+use genesplat::io::photos::{read_photo, write_own_png};
 use genesplat::io::{Scene, shown};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::output;
@@ -78,7 +78,7 @@ fn write_page(
     let Some([without, evolved]) = shown else { return Ok(None) };
     let (name, variant) = (experiment.scene_name(with.scene), experiment.file.variants[with.variant]);
     let path: PathBuf = ["qualitative", name, variant.name(), &format!("{arm}.png")].iter().collect();
-    write_png(&runner.out.join(&path), &stacked(&rows))?;
+    write_own_png(runner.out, &path, &stacked(&rows))?;
     let caption = format!(
         "{name}, {variant}, seed {}: photo, {baseline}, {arm}. Above, the test photo that gained most PSNR; below, the one \
          that lost most (or gained least). Green: where error fell most; red: where it rose most.",

@@ -138,7 +138,7 @@ impl<'a> Runner<'a> {
         let in_cells = self.experiment.cells().into_iter().flat_map(|cell| {
             let folder = self.folder(cell);
             let up = folder.ancestors().take_while(|above| above.starts_with(self.out)).map(Path::to_owned);
-            up.chain([folder.join(TEST)]).collect::<Vec<_>>()
+            up.chain(FOLDERS.map(|part| folder.join(part))).collect::<Vec<_>>()
         });
         in_scenes.chain(in_cells).for_each(|folder| files::remove_leftovers(&folder));
     }

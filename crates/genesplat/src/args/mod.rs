@@ -28,7 +28,7 @@ pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
-pub(crate) use train::{OldArgs, SearchArgs, TrainArgs};
+pub(crate) use train::{OldArgs, SCENE, SearchArgs, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
                            SIGTERM with what there was saved";

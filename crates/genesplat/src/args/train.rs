@@ -56,10 +56,13 @@ pub(crate) struct TrainArgs {
     pub(crate) lpips: LpipsArgs,
 }
 
+/// The folder of a scene in that of its run.
+pub(crate) const SCENE: &str = "scene";
+
 impl TrainArgs {
     /// The folder of the scene, which `--poses` makes, and into which an archive is unpacked.
     pub(crate) fn scene(&self) -> PathBuf {
-        if self.poses || is_zip(&self.dataset) { self.out.join("scene") } else { self.dataset.clone() }
+        if self.poses || is_zip(&self.dataset) { self.out.join(SCENE) } else { self.dataset.clone() }
     }
 
     /// What is asked for; `over` is [`Self::override_config`].

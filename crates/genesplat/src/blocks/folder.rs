@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, ensure};
 use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::{command_line, input, shown};
-use genesplat::run::files::write_json;
+use genesplat::run::files::write_own_json;
 use serde::{Deserialize, Serialize};
 
 const BLOCKS: &str = "blocks.json";
-const SCENES: &str = "scenes";
+pub(super) const SCENES: &str = "scenes";
 const RUNS: &str = "runs";
 /// The list of held-out photos, in the folder of a block's scene that has some.
 pub(super) const TEST_LIST: &str = "test.txt";
@@ -39,7 +39,7 @@ impl Cut {
     }
 
     pub(super) fn write(&self, folder: &Path) -> Result<()> {
-        write_json(&folder.join(BLOCKS), self)
+        write_own_json(folder, BLOCKS, self)
     }
 }
 

@@ -16,13 +16,13 @@ use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{CLOUD, REPORT};
-use genesplat::run::{cluster, device, lpips, overwrite, scene};
+use genesplat::run::{cluster, device, files, lpips, overwrite, scene};
 use genesplat::terminal::interrupt;
 use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;
 use genesplat::train::{StepBudget, TrainConfig};
 
-use crate::args::TrainArgs;
+use crate::args::{SCENE, TrainArgs};
 use crate::poses::{self, Request};
 use crate::unpacked;
 
@@ -98,6 +98,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         check_ranks(args, &config.train)?;
         machine.device = Some(DeviceChoice::Cpu);
     }
+    files::check_name(&args.out, Path::new(SCENE).join("file"))?;
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
     if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);

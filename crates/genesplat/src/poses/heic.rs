@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
 use genesplat::io::{plural, shown};
-use genesplat::run::files::write_json;
+use genesplat::run::files::write_own_json;
 use genesplat::run::output::Bar;
 
 use super::engine::Engine;
@@ -14,6 +14,8 @@ use super::process;
 
 /// In small letters.
 pub(super) const ENDINGS: [&str; 3] = ["heic", "heif", "hif"];
+/// What the script is told, below the folder of the stages.
+const LIST: &str = "heic.json";
 const SCRIPT: &str = include_str!("heic.py");
 
 /// Writes each first file as the second, a JPEG; false where `stop` has ended it.
@@ -29,11 +31,10 @@ pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path
             engine.name()
         )
     };
-    let list = work.join("heic.json");
-    write_json(&list, &pairs)?;
+    write_own_json(work, LIST, &pairs)?;
     let mut bar = Bar::new("photos", pairs.len() as u64);
     let mut command = Command::new(python);
-    command.args(["-c", SCRIPT]).arg(list);
+    command.args(["-c", SCRIPT]).arg(work.join(LIST));
     process::run(&mut command, &work.join("heic.log"), stop, |line| {
         line.trim().parse().into_iter().for_each(|done| bar.set(done, String::new));
     })

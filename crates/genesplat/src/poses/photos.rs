@@ -9,8 +9,8 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
-use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, shown};
-use genesplat::run::files::{link_or_copy, unwritable, write_json};
+use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, own, shown};
+use genesplat::run::files::{make_own_folder, unwritable, write_own_json};
 use genesplat::run::{output, preparing};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -91,7 +91,7 @@ impl Source {
     /// Fails where the stages in `work` are those of other photos; else it is written down whose they are.
     pub(crate) fn check_same(&self, work: &Path) -> Result<()> {
         let (file, record) = (work.join(RECORD), self.record()?);
-        let Ok(bytes) = input::read(&file) else { return write_json(&file, &record) };
+        let Ok(bytes) = input::read(&file) else { return write_own_json(work, RECORD, &record) };
         let same = serde_json::from_slice::<Record>(&bytes).is_ok_and(|there| there == record);
         // Photos that lie in the scene are the user's own, and all else there can be removed.
         let anew = match self.is_in(&work.with_file_name(IMAGES)) {
@@ -136,6 +136,13 @@ impl Source {
     pub(crate) fn heic(&self, images: &Path) -> Vec<(PathBuf, PathBuf)> {
         let Self::Folder(Photos { path, heic, .. }) = self else { return Vec::new() };
         heic.iter().map(|name| (path.join(name), images.join(name_in_scene(name)))).collect()
+    }
+
+    /// Makes the folders of the HEIC photos in the scene `out`.
+    pub(crate) fn make_folders_of_heic(&self, out: &Path) -> Result<()> {
+        let Self::Folder(Photos { heic, .. }) = self else { return Ok(()) };
+        let folders: BTreeSet<&Path> = heic.iter().filter_map(|name| Path::new(name).parent()).collect();
+        folders.into_iter().try_for_each(|folder| make_own_folder(out, Path::new(IMAGES).join(folder)).map(drop))
     }
 
     /// Puts the photos into `images`, and their masks beside it; false where `stop` has ended it.
@@ -206,16 +213,17 @@ impl Photos {
     /// Puts them into `images` in a form that COLMAP reads, upright, and their masks beside it.
     fn put(&self, images: &Path) -> Result<()> {
         self.tell_of_lying(images);
+        let scene = images.parent().unwrap_or(images);
         self.names.par_iter().try_for_each(|name| {
-            let (from, to) = (self.path.join(name), images.join(name_in_scene(name)));
-            match to.exists() || (!is_webp(name) && turn_of(&from).is_none()) {
-                true => link(&from, &to),
-                false => Ok(write_upright(&from, &to)?),
+            let (from, to) = (self.path.join(name), Path::new(IMAGES).join(name_in_scene(name)));
+            match scene.join(&to).exists() || (!is_webp(name) && turn_of(&from).is_none()) {
+                true => link(&from, scene, &to),
+                false => Ok(write_upright(&from, (scene, &to))?),
             }
         })?;
-        let masks = images.with_file_name(masks::FOLDER);
         self.masks.par_iter().try_for_each(|(name, mask)| {
-            self.put_mask(&self.path.join(name), mask, &masks::place(&masks, &name_in_scene(name)))
+            let to = masks::place(Path::new(masks::FOLDER), &name_in_scene(name));
+            self.put_mask(&self.path.join(name), mask, (scene, &to))
         })
     }
 
@@ -234,12 +242,13 @@ impl Photos {
         }
     }
 
-    fn put_mask(&self, photo: &Path, mask: &Path, to: &Path) -> Result<()> {
-        let turn = turn_of(photo).filter(|_| !to.exists());
-        if to.exists() || (turn.is_none() && has_ending(&mask.to_string_lossy(), &["png"])) {
-            return link(mask, to);
+    fn put_mask(&self, photo: &Path, mask: &Path, (scene, to): (&Path, &Path)) -> Result<()> {
+        let is_there = scene.join(to).exists();
+        let turn = turn_of(photo).filter(|_| !is_there);
+        if is_there || (turn.is_none() && has_ending(&mask.to_string_lossy(), &["png"])) {
+            return link(mask, scene, to);
         }
-        Ok(write_mask(mask, to, photo_size(photo).unwrap_or_default().into(), turn)?)
+        Ok(write_mask(mask, (scene, to), photo_size(photo).unwrap_or_default().into(), turn)?)
     }
 }
 
@@ -260,9 +269,13 @@ fn is_heic(name: &str) -> bool {
     has_ending(name, &heic::ENDINGS)
 }
 
-/// [`link_or_copy`], once.
-fn link(from: &Path, to: &Path) -> Result<()> {
-    if to.exists() { Ok(()) } else { link_or_copy(from, to).map_err(|error| unwritable(to, &error)) }
+/// [`own::link_or_copy`], once: what is there is whole.
+fn link(from: &Path, scene: &Path, to: &Path) -> Result<()> {
+    let place = scene.join(to);
+    match place.exists() {
+        true => Ok(()),
+        false => own::link_or_copy(from, scene, to).map_err(|error| unwritable(&place, &error)),
+    }
 }
 
 /// What lies below a folder; all sorted.

@@ -12,7 +12,7 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::shown;
+use genesplat::io::{own, shown};
 use genesplat::run::files::unwritable;
 
 /// A program was ended by a signal that nobody sent: the fault is its own, and may not come again.
@@ -29,11 +29,13 @@ impl Error for Crashed {}
 
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is kept in `log`.
+/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is kept in `log`, a
+/// file of ours: the program's name before each line, and what a terminal obeys as escapes, since names of photos are in it.
 /// False where `stop` has ended it.
 pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_line: impl FnMut(&str)) -> Result<bool> {
     let program = PathBuf::from(command.get_program());
-    let mut file = File::options().create(true).append(true).open(log).map_err(|error| unwritable(log, &error))?;
+    let mut file = open_log(log).map_err(|error| unwritable(log, &error))?;
+    let name = shown(program.file_name().unwrap_or_default());
     let mut child = start(command).map_err(|error| anyhow!("cannot start {}: {error}", shown(&program)))?;
     let (sender, lines) = channel();
     let listeners = [
@@ -49,7 +51,7 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
         match lines.recv_timeout(PAUSE) {
             Ok(line) => {
                 // The log is for people who look for a fault; a full disk shows elsewhere.
-                let _ = writeln!(file, "{line}");
+                let _ = writeln!(file, "{name}: {}", shown(&line));
                 on_line(&line);
                 if is_error(&line) {
                     error = Some(line);
@@ -64,7 +66,7 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
-        let sentence = match error.unwrap_or(last).trim() {
+        let sentence = match shown(error.unwrap_or(last).trim()).as_str() {
             "" => {
                 format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program))
             }
@@ -80,6 +82,10 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
         bail!(sentence);
     }
     Ok(status.success())
+}
+
+fn open_log(log: &Path) -> std::io::Result<File> {
+    own::append(log.parent().unwrap_or(Path::new("")), log.file_name().unwrap_or_default())
 }
 
 /// Whether a line tells of an error in glog's way (`E20261127 ..`, `F1127 ..`), or in words.
@@ -154,7 +160,12 @@ mod tests {
         let told = "echo E20261127 no such camera; echo 'SQLite error: database is locked'; echo 'Matching block [1/1]'; exit 1";
         let locked = run(&mut shell(told), &log.with_extension("2"), &never, |_| {}).unwrap_err().to_string();
         assert!(locked.contains("an earlier search still runs (SQLite error: database is locked)"), "{locked}");
-        assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 4);
+        let kept = genesplat::io::input::read_text(&log).unwrap();
+        assert_eq!(kept.lines().count(), 4);
+        assert!(run(&mut shell(r"printf 'a\033[2J\rb\n'"), &log, &never, |_| {}).unwrap());
+        let kept = genesplat::io::input::read_text(&log).unwrap();
+        assert!(kept.lines().all(|line| line.starts_with("sh: ")), "{kept}");
+        assert!(kept.ends_with("sh: a\\u{1b}[2J\\u{d}b\n"), "{kept}");
     }
 
     #[test]

@@ -34,7 +34,7 @@ fn a_file_that_may_not_grow_is_a_write_error_and_costs_nothing() {
                 failed += 1;
             }
         }
-        advance(&mut arguments, |_| false);
+        advance(&mut arguments, &|arguments| command(arguments), |_| false);
         assert_same_run(&out, &whole);
     }
     assert!(failed >= 4 && done >= 1, "{failed} failed, {done} came to their end");
@@ -79,7 +79,7 @@ impl Growing {
             assert_eq!(output.status.code(), Some(1), "{limit} MiB: {said}");
             assert!(last.starts_with("error: ") || last.starts_with("memory allocation of"), "{limit} MiB: {said}");
             assert!(!said.contains("bug in genesplat"), "{limit} MiB: {said}");
-            advance(&mut arguments, |_| false);
+            advance(&mut arguments, &|arguments| command(arguments), |_| false);
         }
         assert_same_run(out, &self.whole);
         last

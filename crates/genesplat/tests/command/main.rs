@@ -6,6 +6,7 @@ mod camera_path;
 mod convert;
 mod determinism;
 mod disk;
+mod foreign_folders;
 mod hostile;
 mod inspect;
 mod kills;
