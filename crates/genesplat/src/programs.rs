@@ -54,7 +54,8 @@ impl Programs {
             };
         }
         for name in FOLDERS {
-            if std::env::var_os(name).is_some_and(|list| !std::env::split_paths(&list).all(|entry| self.is_own(&entry))) {
+            if std::env::var_os(name).is_some_and(|list| !std::env::split_paths(&list).all(|entry| self.is_own(&entry)))
+            {
                 command.env_remove(name);
             }
         }
@@ -122,6 +123,9 @@ mod tests {
         let programs = Programs::default();
         assert!(programs.named(OsStr::new("sh")).unwrap().is_absolute());
         assert_eq!(programs.named(OsStr::new("Cargo.toml")), None);
-        assert_eq!(programs.named(OsStr::new("./Cargo.toml")), Some(std::env::current_dir().unwrap().join("Cargo.toml")));
+        assert_eq!(
+            programs.named(OsStr::new("./Cargo.toml")),
+            Some(std::env::current_dir().unwrap().join("Cargo.toml"))
+        );
     }
 }

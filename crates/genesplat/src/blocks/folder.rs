@@ -101,7 +101,8 @@ mod tests {
         let file = place.path().join(BLOCKS);
         let axes = r#"{"axes": [[1, 0, 0], [0, 0, 1]]}"#;
         let of_blocks = |names: &[&str]| {
-            let blocks = names.iter().map(|name| format!(r#"{{"name": "{name}", "core": [[null, null], [null, null]]}}"#));
+            let blocks =
+                names.iter().map(|name| format!(r#"{{"name": "{name}", "core": [[null, null], [null, null]]}}"#));
             let blocks = blocks.collect::<Vec<_>>().join(", ");
             format!(r#"{{"scene": "", "grid": {{"ground": {axes}, "blocks": [{blocks}]}}}}"#)
         };

@@ -107,6 +107,14 @@ impl Engine {
     }
 }
 
+#[cfg(test)]
+impl Engine {
+    pub(super) fn of_python(python: &str) -> Self {
+        let tool = Tool::Pycolmap { python: python.into(), version: "4".into() };
+        Self { tool, programs: Programs::default() }
+    }
+}
+
 impl Tool {
     /// The Python of `GENESPLAT_PYTHON`, else one on `PATH` that has pycolmap, else the program `colmap` there.
     fn find(programs: &Programs) -> Result<Self> {
@@ -282,12 +290,12 @@ mod tests {
 
     #[test]
     fn progress_is_read_from_both() {
-        let engine = |tool| Engine { tool, programs: Programs::default() };
-        let colmap = engine(Tool::Colmap { program: "colmap".into(), has_feature_options: true });
+        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let colmap = Engine { tool, programs: Programs::default() };
         assert_eq!(colmap.progress(Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
         assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (7)"), Some(7));
         assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (num_reg_frames=7)"), Some(7));
-        let pycolmap = engine(Tool::Pycolmap { python: "python3".into(), version: "4".into() });
+        let pycolmap = Engine::of_python("python3");
         assert_eq!(pycolmap.progress(Stage::Matches, r#"{"done": 4, "total": 36}"#), Some(4));
         assert_eq!(pycolmap.progress(Stage::Matches, "I2026 matching.cc"), None);
         assert_eq!(pycolmap.reprojection_errors(r#"{"errors_px": {"0": 0.5}}"#), [("0".to_owned(), 0.5)].into());

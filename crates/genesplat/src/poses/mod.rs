@@ -61,7 +61,8 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));
     }
-    let prepared = Engine::find(Programs::beside(request.photos)).and_then(|engine| prepare(request, &source, &work, engine, stop));
+    let prepared = Engine::find(Programs::beside(request.photos))
+        .and_then(|engine| prepare(request, &source, &work, engine, stop));
     if prepared.is_err() && is_new {
         photos::forget(request.out, &work);
     }

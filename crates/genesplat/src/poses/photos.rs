@@ -332,27 +332,13 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn a_name_that_leads_out_elsewhere_is_refused() {
-        use std::os::unix::ffi::OsStrExt;
-
-        let place = tempfile::tempdir().unwrap();
-        let [photos, images] = ["photos", "scene/images"].map(|name| place.path().join(name));
-        for name in ["x.jpg", "photos/1.jpg", "photos/a/2.jpg"] {
-            file(place.path(), name);
-        }
-        let refusal = || format!("{:#}", Source::open(&photos, None).err().unwrap());
+        let photos = tempfile::tempdir().unwrap();
         for name in ["a\\..\\..\\x.jpg", "a\\2.heic", "\\x.webp"] {
-            file(&photos, name);
-            assert!(refusal().contains("backslash") && refusal().contains("rename it"), "{}", refusal());
-            fs::remove_file(photos.join(name)).unwrap();
+            file(photos.path(), name);
+            let refusal = Source::open(photos.path(), None).err().unwrap().to_string();
+            assert!(refusal.contains("backslash") && refusal.contains("rename it"), "{refusal}");
+            fs::remove_file(photos.path().join(name)).unwrap();
         }
-        let no_text = photos.join(std::ffi::OsStr::from_bytes(b"\xff.jpg"));
-        fs::write(&no_text, "x").unwrap();
-        assert!(refusal().contains("is not text"), "{}", refusal());
-        fs::remove_file(no_text).unwrap();
-        let Source::Folder(found) = Source::open(&photos, None).unwrap() else { panic!("a folder") };
-        assert_eq!(found.names, ["1.jpg", "a/2.jpg"]);
-        found.names.iter().for_each(|name| link(&photos.join(name), &images.join(name)).unwrap());
-        assert!(images.join("a/2.jpg").exists());
     }
 
     #[test]
@@ -492,7 +478,7 @@ mod tests {
         assert_eq!(pairs, [(photos.join("b/1.HEIC"), images.join("b/1.HEIC.jpg"))]);
         assert!(source.fill(&images, place.path(), &never).unwrap());
         assert!(place.path().join("scene/masks/b/1.HEIC.jpg.png").exists());
-        let engine = super::super::engine::Engine::Pycolmap { python: "no-such-python".into(), version: "4".into() };
+        let engine = super::super::engine::Engine::of_python("no-such-python");
         let refused = heic::convert(&pairs, &engine, place.path(), &never).unwrap_err().to_string();
         assert!(refused.contains("1 photo is HEIC") && refused.contains("pip install pillow-heif"), "{refused}");
     }

@@ -131,7 +131,10 @@ fn a_thread_that_cannot_listen_to_a_program_is_a_sentence() {
     for stacks in 1..12 {
         let poses = command(["poses", text(&photos), "--out", text(&found), "--threads", "1"]);
         let mut poses = limited(&format!("-v {}", 150_000 + 310_000 * stacks), &poses);
-        poses.env("RUST_MIN_STACK", (300 << 20).to_string()).env("MALLOC_ARENA_MAX", "1").env("GENESPLAT_PYTHON", &python);
+        poses
+            .env("RUST_MIN_STACK", (300 << 20).to_string())
+            .env("MALLOC_ARENA_MAX", "1")
+            .env("GENESPLAT_PYTHON", &python);
         let output = poses.output().unwrap();
         match output.status.code() {
             Some(0) => done += 1,

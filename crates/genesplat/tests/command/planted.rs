@@ -13,8 +13,20 @@ use crate::support::{command, copy, judge_failure, program, scene, succeed, text
 
 /// What the scripts import, what Python itself does, and what it looks for when it begins.
 const MODULES: [&str; 14] = [
-    "json", "os", "threading", "time", "numpy", "pycolmap", "pillow_heif", "PIL", "linecache", "traceback", "codecs", "encodings",
-    "sitecustomize", "usercustomize",
+    "json",
+    "os",
+    "threading",
+    "time",
+    "numpy",
+    "pycolmap",
+    "pillow_heif",
+    "PIL",
+    "linecache",
+    "traceback",
+    "codecs",
+    "encodings",
+    "sitecustomize",
+    "usercustomize",
 ];
 const PROGRAMS: [&str; 5] = ["python3", "python", "colmap", "ffmpeg", "ffprobe"];
 
@@ -105,8 +117,9 @@ fn code_in_the_folder_of_the_photos_does_not_run() {
     assert!(found.status.success() && said(&found).contains("pycolmap pretended"), "{}", said(&found));
     assert!(planted.place.path().join("scene/images/gallery_000.HEIC.jpg").exists());
     // The counterpart: it would run where Python adds the folder by itself.
-    let python = Command::new(program("python3").unwrap()).args(["-c", "import pycolmap"]).current_dir(&planted.photos);
-    assert!({ python }.output().is_ok() && planted.ran().contains("pycolmap"), "{}", planted.ran());
+    let mut python = Command::new(program("python3").unwrap());
+    let ran = python.args(["-c", "import pycolmap"]).current_dir(&planted.photos).output();
+    assert!(ran.is_ok() && planted.ran().contains("pycolmap"), "{}", planted.ran());
 }
 
 #[test]
@@ -127,7 +140,8 @@ fn programs_in_the_folder_of_the_photos_do_not_run() {
     }
     let run = planted.place.path().join("run");
     succeed(train(scene(), &run, &["--iterations", "40"]));
-    let render = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit", "--out", "../x.mp4"];
+    let render =
+        ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit", "--out", "../x.mp4"];
     judge_failure(planted.run(&render, &[]), &["there is no ffmpeg on the PATH"]);
     assert_eq!(planted.ran(), "");
 }
@@ -142,6 +156,9 @@ fn a_photo_whose_name_has_backslashes_is_written_nowhere() {
     // What it would be read from.
     fs::copy(&photo, planted.place.path().join("x.png")).unwrap();
     let deep = planted.place.path().join("deep");
-    judge_failure(planted.run(&["poses", ".", "--out", text(&deep.join("scene"))], &[]), &["x.png", "backslash", "rename it"]);
+    judge_failure(
+        planted.run(&["poses", ".", "--out", text(&deep.join("scene"))], &[]),
+        &["x.png", "backslash", "rename it"],
+    );
     assert!(!deep.exists());
 }
