@@ -7,6 +7,7 @@ mod blocks;
 mod commands;
 mod inspect;
 mod poses;
+mod programs;
 mod sharpness;
 mod unpacked;
 

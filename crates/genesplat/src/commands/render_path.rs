@@ -1,7 +1,7 @@
 //! `genesplat render --path`: a splat seen by a camera that moves, as PNGs, or as a film that ffmpeg makes of them.
 
 use std::ffi::OsStr;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,6 +21,7 @@ use genesplat::viewer::path::CameraPath;
 
 use super::render::STOPPING;
 use crate::args::{PathChoice, RenderArgs};
+use crate::programs::Programs;
 
 /// Frames of a path where nobody asks for a number.
 const FRAMES: u32 = 120;
@@ -115,16 +116,15 @@ impl Sink {
         }
         let unfinished = Unfinished::of(out).map_err(|error| unwritable(out, &error))?;
         let Camera { width, height, .. } = cameras[0];
-        let ffmpeg =
-            ffmpeg(unfinished.temporary(), &ending(out), [width, height]).spawn().map_err(|error| {
-                match error.kind() {
-                    ErrorKind::NotFound => anyhow!(
-                        "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
-                        shown(out)
-                    ),
-                    _ => anyhow!("cannot start ffmpeg: {error}"),
-                }
-            })?;
+        let programs = Programs::default();
+        let program = programs.find(&["ffmpeg"]).ok_or_else(|| {
+            anyhow!(
+                "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
+                shown(out)
+            )
+        })?;
+        let ffmpeg = ffmpeg(programs.command(&program), unfinished.temporary(), &ending(out), [width, height]);
+        let ffmpeg = { ffmpeg }.spawn().map_err(|error| anyhow!("cannot start {}: {error}", shown(program)))?;
         Ok(Self::Film(Film { ffmpeg, unfinished: Some(unfinished), path: out.to_owned() }))
     }
 
@@ -188,8 +188,7 @@ fn frame_name(frame: u32) -> String {
 
 /// Frames come as raw pixels. The film goes into the file `out`, which is there: `file:` and a format keep ffmpeg from
 /// looking for a protocol, an option or a pattern in its name.
-fn ffmpeg(out: &Path, format: &str, [width, height]: [u32; 2]) -> Command {
-    let mut command = Command::new("ffmpeg");
+fn ffmpeg(mut command: Command, out: &Path, format: &str, [width, height]: [u32; 2]) -> Command {
     let size = format!("{width}x{height}");
     command.args([
         "-loglevel",

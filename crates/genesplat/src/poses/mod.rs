@@ -22,6 +22,7 @@ use genesplat::run::files::{check_name, make_empty, make_own_folder, remove_left
 use genesplat::run::lock::Lock;
 use genesplat::run::{output, preparing};
 
+use crate::programs::Programs;
 use engine::Engine;
 use photos::Source;
 use stages::Job;
@@ -68,7 +69,8 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
         return Ok(Some(summary));
     }
     drop(preparing);
-    let prepared = Engine::find().and_then(|engine| prepare(request, &source, &work, engine, stop));
+    let prepared = Engine::find(Programs::beside(request.photos))
+        .and_then(|engine| prepare(request, &source, &work, engine, stop));
     if prepared.is_err() && is_new {
         photos::forget(request.out, &work);
     }

@@ -17,6 +17,8 @@ mod mistakes;
 mod overwrite;
 mod peer;
 mod photos;
+#[cfg(unix)]
+mod planted;
 mod poses;
 mod real_scene;
 mod resume;
