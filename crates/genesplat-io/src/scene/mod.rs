@@ -2,6 +2,7 @@
 
 mod bare;
 pub mod blocks;
+mod digests;
 mod listed;
 mod masks;
 mod place;
@@ -18,6 +19,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::View;
 use rayon::prelude::*;
 
+pub use digests::{PhotoDigests, SceneDigests};
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use masks::{MaskUse, mask_of};
 pub(crate) use random_points::Cube;
@@ -52,6 +54,8 @@ pub struct Scene {
     pub points: Vec<Point>,
     /// Files of the photos, which must not be written over; empty for a scene that is not from a disk.
     pub photos: Vec<PathBuf>,
+    /// What tells whether the scene is still what it was.
+    pub digests: SceneDigests,
     /// What the user should know: one sentence each.
     pub notices: Vec<String>,
 }
@@ -151,7 +155,7 @@ pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgres
     }
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
-    let [train, test] = load_views([&train, &test], options, progress, &mut notices)?;
+    let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
     if train.is_empty() {
         return Err(SceneError::invalid(
             path,
@@ -159,16 +163,17 @@ pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgres
             photo does not count",
         ));
     }
-    Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, notices })
+    let digests = SceneDigests::of(digests, listing.points_digest);
+    Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, digests, notices })
 }
 
-/// The views of training and test photos; those of which nothing counts are left out.
+/// The views of training and test photos; those of which nothing counts are left out. And the digests of all of them.
 fn load_views(
     photos: [&[ListedPhoto]; 2],
     options: &LoadOptions,
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
-) -> Result<[Vec<View>; 2], SceneError> {
+) -> Result<([Vec<View>; 2], [Vec<PhotoDigests>; 2]), SceneError> {
     let (pinholes, keeper) = (Pinholes::default(), Keeper::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
         photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &keeper, progress)).collect()
@@ -191,7 +196,8 @@ fn load_views(
         let views = loaded.into_iter().map(|loaded| loaded.view);
         views.filter(|view| view.counted_pixels() > 0).collect()
     };
-    Ok(loaded.map(seen))
+    let digests = [0, 1].map(|part| loaded[part].iter().map(|loaded| loaded.digests.clone()).collect());
+    Ok((loaded.map(seen), digests))
 }
 
 /// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.
@@ -245,6 +251,7 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
     listing.check_not_shared()?;
     listing.name_views()?;
     listing.notices.extend(stray::notice(&listing));
+    listing.points_digest = options.with_points.then(|| digests::of_points(&listing.points));
     if options.with_points && listing.points.is_empty() {
         listing.draw_points(options.seed);
     }

@@ -198,7 +198,7 @@ impl<'a> Trainer<'a> {
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
         let (progress, trial, state) = (self.progress.clone(), self.trial, self.backend.state()?);
         let virtual_pictures = self.virtual_views.pictures().to_vec();
-        Ok(Box::new(Checkpoint { cursor, progress, state, trial, virtual_pictures }))
+        Ok(Box::new(Checkpoint { origin: String::new(), cursor, progress, state, trial, virtual_pictures }))
     }
 
     /// The same, where the cloud is finite.
