@@ -129,6 +129,9 @@ impl ConfigFile {
         file.check()?;
         if let Some(saved) = saved {
             file.check_goes_on_with(&saved, &args.out)?;
+            if !args.accept_changes {
+                photos::check_folders(&saved.dataset.path, &file.dataset.path)?;
+            }
         }
         Ok(file)
     }
@@ -215,7 +218,7 @@ impl ConfigFile {
                 shown(out.join(CONFIG))
             );
         }
-        photos::check_folders(&saved.dataset.path, &self.dataset.path)
+        Ok(())
     }
 }
 
@@ -243,10 +246,9 @@ impl Settings {
 }
 
 impl Settings {
-    /// All that the result of a run depends on, and when it is saved, but for the path of its scene and the machine.
+    /// All that the result of a run depends on, but for its scene and the kind of its device, as TOML.
     pub(crate) fn of_result(&self) -> String {
-        let config = self.schedule.config();
-        format!("{}\n{}", result_settings(&self.dataset, config), config.checkpoint_every)
+        result_settings(&self.dataset, self.schedule.config()).to_string()
     }
 }
 
@@ -306,6 +308,19 @@ fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
     let size = Dataset { path: "".into(), ..dataset.clone() };
     table.insert("dataset".into(), Value::Table(to_table(&size)));
     table
+}
+
+/// The first difference between what [`Settings::of_result`] was there and is here, if there is any.
+pub(crate) fn difference_of_results(there: &str, here: &str) -> Option<String> {
+    let table = |text: &str| {
+        let file = text.parse().and_then(ConfigFile::from_table)?;
+        Ok::<_, toml::de::Error>(result_settings(&file.dataset, &file.train))
+    };
+    match (table(there), table(here)) {
+        (Ok(there), Ok(here)) => first_difference(&there, &here),
+        (Err(error), _) => Some(format!("the settings there are of another version: {}", error.message())),
+        (_, Err(error)) => Some(format!("the settings here cannot be read back: {}", error.message())),
+    }
 }
 
 /// The first key, dotted, whose values differ, and both of them; `None` where the tables are the same.

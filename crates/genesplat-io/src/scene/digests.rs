@@ -49,7 +49,8 @@ impl PhotoDigests {
     /// Those of a photo without a file, by its pixels.
     fn of_view(view: &View) -> Option<Self> {
         let photo = view.photo.read().ok()?;
-        let mask = view.mask.as_ref().map(|mask| mask.counts.iter().map(|counts| u8::from(*counts)).collect::<Vec<_>>());
+        let mask =
+            view.mask.as_ref().map(|mask| mask.counts.iter().map(|counts| u8::from(*counts)).collect::<Vec<_>>());
         let mask = mask.map(|mask| Digest::of(&mask));
         Some(Self { mask, ..Self::new(&view.name, Digest::of(&photo.rgb), &view.camera, None) })
     }

@@ -26,10 +26,11 @@ pub(crate) use random_points::Cube;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
+use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
-use crate::{colmap, plural, shown, transforms};
+use crate::{colmap, input, plural, shown, transforms};
 use view::{Keeper, Loaded, Pinholes};
 
 /// A point of a reconstruction.
@@ -198,6 +199,23 @@ fn load_views(
     };
     let digests = [0, 1].map(|part| loaded[part].iter().map(|loaded| loaded.digests.clone()).collect());
     Ok((loaded.map(seen), digests))
+}
+
+/// The digests of [`load_scene`] alone: files are read, and not decoded.
+pub fn scene_digests(path: &Path, options: &LoadOptions) -> Result<SceneDigests, SceneError> {
+    let listing = list(path, options)?;
+    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let of = |photos: &[ListedPhoto]| photos.par_iter().map(digests_of).collect::<Result<Vec<_>, _>>();
+    Ok(SceneDigests::of([of(&train)?, of(&test)?], listing.points_digest))
+}
+
+fn digests_of(listed: &ListedPhoto) -> Result<PhotoDigests, SceneError> {
+    let digest = |file: &Path| {
+        let bytes = input::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+        Ok::<_, SceneError>(Digest::of(&bytes))
+    };
+    let mask = listed.mask.as_deref().map(digest).transpose()?;
+    Ok(PhotoDigests::of(listed, digest(&listed.path)?, mask))
 }
 
 /// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.

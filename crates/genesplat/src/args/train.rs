@@ -43,6 +43,10 @@ pub(crate) struct TrainArgs {
     /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
     #[arg(long)]
     pub(crate) resume: bool,
+    /// With --resume: go on although photos, masks, cameras or points are not what the run began with. The result is then
+    /// that of neither, and DIR/inputs.json says what has changed
+    #[arg(long, requires = "resume", help_heading = MORE)]
+    pub(crate) accept_changes: bool,
     #[command(flatten)]
     pub(crate) page: TrainPageArgs,
     /// Also write the curves of the run to DIR/tensorboard, for `tensorboard --logdir DIR` and its like

@@ -6,9 +6,10 @@ use genesplat::io::{LoadOptions, Scene, load_points, shown};
 use super::plan::{BUNDLED, Cell};
 use super::results::Results;
 use super::runner::Runner;
+use crate::run::METRICS;
+use crate::run::inputs::{self, Inputs};
 use crate::run::metrics::Metrics;
 use crate::run::session::{has_checkpoint, no_rows, read_checkpoint};
-use crate::run::{METRICS, photos};
 use crate::settings::{ConfigFile, Settings};
 
 /// What a cell's folder says about it.
@@ -75,6 +76,23 @@ impl Runner<'_> {
                 _ => first = Some((cell, metrics)),
             }
         }
+        self.check_inputs()
+    }
+
+    /// Neither do tables mix runs of different photos, cameras or points, finished or not.
+    fn check_inputs(&self) -> Result<()> {
+        let mut first: Option<(Cell, Inputs)> = None;
+        for cell in self.experiment.cells() {
+            let folder = self.folder(cell);
+            let is_kept = self.whole_metrics(cell).is_some() || has_checkpoint(&folder);
+            let Some(inputs) = is_kept.then(|| Inputs::read(&folder)).transpose()?.flatten() else { continue };
+            match &first {
+                Some((other, of_other)) if other.scene == cell.scene => {
+                    inputs::check_alike([&self.folder(*other), &folder], [of_other, &inputs])?;
+                }
+                _ => first = Some((cell, inputs)),
+            }
+        }
         Ok(())
     }
 
@@ -96,7 +114,7 @@ impl Runner<'_> {
         let partners = self.experiment.cells().into_iter().filter(|other| other.scene == cell.scene);
         partners
             .filter(|&other| self.whole_metrics(other).is_some())
-            .try_for_each(|other| photos::check(&self.folder(other), scene))
+            .try_for_each(|other| inputs::check_began_with(&self.folder(other), scene))
     }
 
     /// The figures of a cell that has come to its end, with whatever settings.
@@ -109,7 +127,8 @@ impl Runner<'_> {
     /// the bundled one by its options, too.
     fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
         let is_bundled = self.experiment.file.scenes[cell.scene] == BUNDLED;
-        config.difference(settings, if is_bundled { 2 } else { 1 })
+        let differs = config.difference(settings, if is_bundled { 2 } else { 1 });
+        differs.or_else(|| inputs::other_settings(&self.folder(cell), settings))
     }
 }
 

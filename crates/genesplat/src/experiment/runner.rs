@@ -19,6 +19,7 @@ use super::cells::State;
 use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::Results;
 use crate::args::MachineArgs;
+use crate::run::inputs::{self, Inputs};
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
@@ -199,6 +200,10 @@ impl<'a> Runner<'a> {
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings).and_then(|scene| {
             self.check_partners(cell, scene)?;
+            if resumes {
+                let (mut now, caller) = (Inputs::of(settings, scene), Caller::Experiment);
+                inputs::check_goes_on(&self.folder(cell), &mut now, &scene.name, caller, false)?;
+            }
             Ok(scene)
         });
         let scene = scene.map_err(|error| (error, Reach::Scene))?;
@@ -210,6 +215,7 @@ impl<'a> Runner<'a> {
             page: None,
             tensorboard: false,
             cluster: None,
+            accepts_changes: false,
             began,
         };
         let ended = RunSession::claim(&self.folder(cell), Caller::Experiment, resumes)

@@ -4,6 +4,7 @@
 //! | file | what it holds |
 //! |---|---|
 //! | `config.toml` | every setting, resolved; `--config` repeats the run |
+//! | `inputs.json` | what the run began with: settings, and digests of photos, masks, cameras and points |
 //! | `log.jsonl` | one line a report |
 //! | `tensorboard/events.out.tfevents.genesplat` | its curves for TensorBoard, where they were asked for |
 //! | `point_cloud.ply` | the splat, in the layout that every viewer opens |
@@ -18,6 +19,7 @@
 //! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 pub(crate) mod failure;
+pub(crate) mod inputs;
 pub(crate) mod lock;
 pub(crate) mod log;
 pub(crate) mod memory;
@@ -29,6 +31,7 @@ pub(crate) mod test_curve;
 pub(crate) mod training;
 
 pub(crate) const CONFIG: &str = "config.toml";
+pub(crate) const INPUTS: &str = "inputs.json";
 pub(crate) const METRICS: &str = "metrics.json";
 pub(crate) const LOG: &str = "log.jsonl";
 pub(crate) const EVENTS: &str = "tensorboard/events.out.tfevents.genesplat";
@@ -40,4 +43,4 @@ pub(crate) const SNAPSHOTS: &str = "snapshots";
 pub(crate) const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
-const RESULTS: [&str; 7] = [METRICS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
+const RESULTS: [&str; 8] = [METRICS, INPUTS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];

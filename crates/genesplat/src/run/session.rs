@@ -12,9 +12,10 @@ use genesplat::io::{PlyOptions, input, is_transforms, ply, shown, write_ply};
 use genesplat::train::Checkpoint;
 use genesplat::train::checkpoint::JointWriter;
 
+use super::inputs::Inputs;
 use super::lock::Lock;
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
+use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
 use crate::files::{
     check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
 };
@@ -50,6 +51,8 @@ pub(crate) struct RunSession {
     lock: RefCell<Option<Lock>>,
     /// What `config.toml` holds, once the run has begun.
     config: String,
+    /// What the run begins with, or goes on with: `inputs.json`, which its checkpoints hold, too.
+    inputs: String,
 }
 
 impl RunSession {
@@ -78,13 +81,19 @@ impl RunSession {
             ),
             (false, _) => {}
         }
-        Ok(Self { path: path.to_owned(), caller, resumes, writes: true, lock: lock.into(), config: String::new() })
+        let (path, lock) = (path.to_owned(), lock.into());
+        Ok(Self { path, caller, resumes, writes: true, lock, config: String::new(), inputs: String::new() })
     }
 
     /// The folder of a run that another process writes.
     pub(crate) fn follow(path: &Path, resumes: bool) -> Self {
-        let (caller, lock) = (Caller::Train, None.into());
-        Self { path: path.to_owned(), caller, resumes, writes: false, lock, config: String::new() }
+        let (path, caller, lock) = (path.to_owned(), Caller::Train, None.into());
+        Self { path, caller, resumes, writes: false, lock, config: String::new(), inputs: String::new() }
+    }
+
+    /// Says what the run begins with, or goes on with, before it does.
+    pub(crate) fn set_inputs(&mut self, inputs: &Inputs) {
+        self.inputs = inputs.to_json();
     }
 
     /// The run begins: what an older one has left is removed, and the settings `config` are written.
@@ -106,10 +115,16 @@ impl RunSession {
             "{CONFIG_MARK} {}; --config repeats it.\n# What depends on the method is left out, unless it was set: docs/settings.md.\n{config}",
             env!("CARGO_PKG_VERSION")
         );
-        write_text(&path.join(CONFIG), &self.config)?;
+        self.write_beginning()?;
         let checkpoints = path.join("checkpoint");
         [path, &checkpoints, &path.join(TEST)].into_iter().for_each(|folder| remove_leftovers(folder));
         fs::create_dir_all(&checkpoints).map_err(|error| unwritable(&checkpoints, &error))
+    }
+
+    /// Settings first: they say whose folder it is.
+    fn write_beginning(&self) -> Result<()> {
+        write_text(&self.path.join(CONFIG), &self.config)?;
+        if self.inputs.is_empty() { Ok(()) } else { write_text(&self.path.join(INPUTS), &self.inputs) }
     }
 
     /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results without their
@@ -126,7 +141,7 @@ impl RunSession {
         // What it has locked may be gone, and then another one is to be locked.
         *self.lock.borrow_mut() = None;
         *self.lock.borrow_mut() = Some(Lock::take(path)?);
-        write_text(&config, &self.config)?;
+        self.write_beginning()?;
         output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", shown(path)));
         Ok(())
     }
@@ -177,7 +192,8 @@ impl RunSession {
         Ok(path)
     }
 
-    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+    pub(crate) fn write_checkpoint(&self, mut checkpoint: Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+        checkpoint.origin.clone_from(&self.inputs);
         self.write_together(CHECKPOINT, |out| checkpoint.write_together(out, owners))
     }
 
@@ -325,6 +341,7 @@ mod tests {
             writes: true,
             lock: None.into(),
             config: String::new(),
+            inputs: String::new(),
         };
         let refused = { late }.begin("").unwrap_err().to_string();
         assert!(refused.contains("has written to"), "{refused}");

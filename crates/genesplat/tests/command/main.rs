@@ -9,6 +9,7 @@ mod determinism;
 mod disk;
 mod experiment;
 mod hostile;
+mod inputs;
 mod inspect;
 mod kills;
 mod limits;

@@ -8,9 +8,9 @@ use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Snapshot, StateMean
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{CheckpointError, MAGIC};
 use super::joint::JointWriter;
 use super::summed::Summed;
+use super::{CheckpointError, MAGIC};
 use crate::run::observe::StageRecord;
 
 /// Floats or numbers that are written or read at once.
