@@ -11,6 +11,7 @@ use crate::run::inputs::{self, Inputs};
 use crate::run::metrics::Metrics;
 use crate::run::session::{has_checkpoint, no_rows, read_checkpoint};
 use crate::settings::{ConfigFile, Settings};
+use crate::terminal::output;
 
 /// What a cell's folder says about it.
 pub(crate) enum State {
@@ -82,16 +83,26 @@ impl Runner<'_> {
     /// Neither do tables mix runs of different photos, cameras or points, finished or not.
     fn check_inputs(&self) -> Result<()> {
         let mut first: Option<(Cell, Inputs)> = None;
-        for cell in self.experiment.cells() {
+        let is_kept = |cell: &Cell| self.whole_metrics(*cell).is_some() || has_checkpoint(&self.folder(*cell));
+        let mut unknown = 0;
+        for cell in self.experiment.cells().into_iter().filter(is_kept) {
             let folder = self.folder(cell);
-            let is_kept = self.whole_metrics(cell).is_some() || has_checkpoint(&folder);
-            let Some(inputs) = is_kept.then(|| Inputs::read(&folder)).transpose()?.flatten() else { continue };
+            let Some(inputs) = Inputs::read(&folder)? else {
+                unknown += 1;
+                continue;
+            };
             match &first {
                 Some((other, of_other)) if other.scene == cell.scene => {
                     inputs::check_alike([&self.folder(*other), &folder], [of_other, &inputs])?;
                 }
                 _ => first = Some((cell, inputs)),
             }
+        }
+        if unknown > 0 {
+            output::tell(&format!(
+                "notice: {unknown} of the runs are of a version that kept no digests of photos and cameras, so changes of the scene \
+                 since then are noticed only where names of photos, their number or the extent of the cameras differ"
+            ));
         }
         Ok(())
     }

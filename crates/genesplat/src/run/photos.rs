@@ -1,7 +1,8 @@
-//! Whether a run is given the scene that it began with.
+//! Whether a run is given the scene that it began with, as far as paths, names and sizes tell; [`super::inputs`] knows more.
 //!
-//! A scene may move, so a path decides only while the old one exists. Then what tells the scene apart is the number of
-//! training photos and the size of the scene in the log, and the names of test photos in the figures.
+//! A scene may move, so a path decides only while the old one exists. What tells apart the scene of a run that an older version
+//! has made is the number of training photos and the size of the scene in the log, and the names of test photos in the
+//! figures.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
