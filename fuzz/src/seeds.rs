@@ -211,7 +211,9 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
     let virtual_pictures = vec![Photo { width: 2, height: 1, rgb: (0..6).collect() }.into(); rows];
     let mut bytes = Vec::new();
-    Checkpoint { cursor, progress, state, trial: None, virtual_pictures }.write(&mut bytes).expect("memory takes it");
+    let origin = String::from("seed = 7");
+    let checkpoint = Checkpoint { origin, cursor, progress, state, trial: None, virtual_pictures };
+    checkpoint.write(&mut bytes).expect("memory takes it");
     bytes
 }
 

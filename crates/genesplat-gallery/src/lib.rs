@@ -22,7 +22,7 @@ use genesplat_core::{Camera, Photo, View};
 use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::own;
 use genesplat_io::photos::{PhotoError, write_own_png};
-use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
+use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene, SceneDigests};
 
 /// How the gallery is photographed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,8 +95,9 @@ impl Gallery {
     /// As a scene, without files.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
         let (train, test) = hold_out.split(self.views);
+        let digests = SceneDigests::of_views([&train, &test], &self.points);
         let (photos, notices) = (Vec::new(), Vec::new());
-        Scene { name: "gallery".into(), train, test, points: self.points, photos, notices }
+        Scene { name: "gallery".into(), train, test, points: self.points, photos, digests, notices }
     }
 
     /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.

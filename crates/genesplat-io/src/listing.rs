@@ -9,6 +9,7 @@ use genesplat_core::Camera;
 use genesplat_core::camera::near_of;
 use glam::DVec3;
 
+use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::{Cube, Point};
@@ -19,6 +20,8 @@ pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
     /// None where the scene has none, or none are wanted.
     pub(crate) points: Vec<Point>,
+    /// Of the points that the scene itself has, once they are wanted.
+    pub(crate) points_digest: Option<Digest>,
     /// The file that the points are from, or that names none, for errors.
     pub(crate) points_file: PathBuf,
     /// Where random points lie, if this is known; else it follows from the cameras.

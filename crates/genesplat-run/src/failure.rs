@@ -109,6 +109,7 @@ mod tests {
 
     fn checkpoint(iteration: u32) -> Checkpoint {
         Checkpoint {
+            origin: String::new(),
             cursor: Cursor::start_of(iteration),
             progress: Progress::default(),
             state: DeviceState::default(),
@@ -130,7 +131,7 @@ mod tests {
         assert_eq!(says(other()), "the moon is full");
         assert!(says(TrainError::Backend(lost()).into()).ends_with("the run has to begin anew)"));
 
-        session.write_checkpoint(&checkpoint(4213), &Alone).unwrap();
+        session.write_checkpoint(checkpoint(4213), &Alone).unwrap();
         let file = folder.join(CHECKPOINT).display().to_string();
         let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
         for sentence in errors.map(says) {

@@ -15,9 +15,10 @@ use genesplat_io::{PlyOptions, input, is_transforms, ply, shown};
 use genesplat_train::Checkpoint;
 use genesplat_train::checkpoint::JointWriter;
 
+use super::inputs::Inputs;
 use super::lock::{LOCK, Lock};
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
+use super::{CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
 use crate::files::{
     check_folder, check_name, check_own, make_own_folder, remove_if_there, remove_leftovers, write_own, write_own_json,
     write_own_text,
@@ -70,6 +71,8 @@ pub struct RunSession {
     lock: RefCell<Option<Lock>>,
     /// What `config.toml` holds, once the run has begun.
     config: String,
+    /// What the run begins with, or goes on with: `inputs.json`, which its checkpoints hold, too.
+    inputs: String,
 }
 
 impl RunSession {
@@ -99,13 +102,19 @@ impl RunSession {
             ),
             (false, _) => {}
         }
-        Ok(Self { path: path.to_owned(), caller, resumes, writes: true, lock: lock.into(), config: String::new() })
+        let (path, lock) = (path.to_owned(), lock.into());
+        Ok(Self { path, caller, resumes, writes: true, lock, config: String::new(), inputs: String::new() })
     }
 
     /// The folder of a run that another process writes.
     pub fn follow(path: &Path, resumes: bool) -> Self {
-        let (caller, lock) = (Caller::Train, None.into());
-        Self { path: path.to_owned(), caller, resumes, writes: false, lock, config: String::new() }
+        let (path, caller, lock) = (path.to_owned(), Caller::Train, None.into());
+        Self { path, caller, resumes, writes: false, lock, config: String::new(), inputs: String::new() }
+    }
+
+    /// Says what the run begins with, or goes on with, before it does.
+    pub fn set_inputs(&mut self, inputs: &Inputs) {
+        self.inputs = inputs.to_json();
     }
 
     /// The run begins: what an older one has left is removed, and the settings `config` are written.
@@ -127,10 +136,16 @@ impl RunSession {
             "{CONFIG_MARK} {}; --config repeats it.\n# What depends on the method is left out, unless it was set: docs/settings.md.\n{config}",
             env!("CARGO_PKG_VERSION")
         );
-        write_own_text(path, CONFIG, &self.config)?;
+        self.write_beginning()?;
         remove_leftovers(path);
         FOLDERS.iter().for_each(|folder| remove_leftovers(&path.join(folder)));
         make_own_folder(path, CHECKPOINTS).map(drop)
+    }
+
+    /// Settings first: they say whose folder it is.
+    fn write_beginning(&self) -> Result<()> {
+        write_own_text(&self.path, CONFIG, &self.config)?;
+        if self.inputs.is_empty() { Ok(()) } else { write_own_text(&self.path, INPUTS, &self.inputs) }
     }
 
     /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results without their
@@ -147,7 +162,7 @@ impl RunSession {
         // What it has locked may be gone, and then another one is to be locked.
         *self.lock.borrow_mut() = None;
         *self.lock.borrow_mut() = Some(Lock::take(path)?);
-        write_own_text(path, CONFIG, &self.config)?;
+        self.write_beginning()?;
         output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", shown(path)));
         Ok(())
     }
@@ -200,7 +215,8 @@ impl RunSession {
         Ok(self.path.join(name))
     }
 
-    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+    pub(crate) fn write_checkpoint(&self, mut checkpoint: Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+        checkpoint.origin.clone_from(&self.inputs);
         self.write_together(CHECKPOINT, |out| checkpoint.write_together(out, owners))
     }
 
@@ -356,6 +372,7 @@ mod tests {
             writes: true,
             lock: None.into(),
             config: String::new(),
+            inputs: String::new(),
         };
         let refused = { late }.begin("").unwrap_err().to_string();
         assert!(refused.contains("has written to"), "{refused}");

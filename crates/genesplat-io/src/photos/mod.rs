@@ -34,6 +34,7 @@ pub use upright::{Turn, turn_of, write_mask, write_upright};
 
 use self::decode::Encoded;
 use crate::atomic::write_atomically;
+use crate::digest::Digest;
 use crate::{input, own, shown};
 
 /// Why a photo could not be read or written.
@@ -93,6 +94,11 @@ impl EncodedPhoto {
     /// Width and height, px, as the header claims them.
     pub fn size(&self) -> (u32, u32) {
         (self.encoded.width, self.encoded.height)
+    }
+
+    /// That of its file.
+    pub(crate) fn digest(&self) -> Digest {
+        self.encoded.digest()
     }
 
     /// The lens that took it; `None` where its EXIF data have no focal length.

@@ -97,7 +97,7 @@ impl Found {
                 .push(format!("training starts from the points of {}, which the scene does not name", shown(&file)));
             points_file = file;
         }
-        Ok(Listing { photos: self.photos, points, points_file, cube: None, notices: self.notices })
+        Ok(Listing { photos: self.photos, points, points_digest: None, points_file, cube: None, notices: self.notices })
     }
 }
 

@@ -41,6 +41,10 @@ pub(crate) struct TrainArgs {
     /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
     #[arg(long)]
     pub(crate) resume: bool,
+    /// With --resume: go on although photos, masks, cameras or points are not what the run began with. The result is then
+    /// that of neither, and DIR/inputs.json says what has changed
+    #[arg(long, requires = "resume", help_heading = MORE)]
+    pub(crate) accept_changes: bool,
     #[command(flatten)]
     pub(crate) page: TrainPageArgs,
     /// Also write the curves of the run to DIR/tensorboard, for `tensorboard --logdir DIR` and its like
@@ -71,6 +75,7 @@ impl TrainArgs {
             scene: self.scene(),
             out: &self.out,
             resumes: self.resume,
+            accepts_changes: self.accept_changes,
             config: self.config.as_deref(),
             preset: self.preset,
             photos: self.photos.asked()?,

@@ -174,6 +174,7 @@ impl Half {
             page: None,
             tensorboard: false,
             cluster: None,
+            accepts_changes: false,
             began: Instant::now(),
         };
         Ok(match run.execute(&mut self.session)? {

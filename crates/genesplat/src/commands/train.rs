@@ -69,7 +69,9 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
     cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene))?;
     let (page, tensorboard) = (args.page.address(), args.tensorboard);
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
-    let ended = Run { settings, scene, lpips, stop, page, tensorboard, cluster, began }.execute(&mut session)?;
+    let accepts_changes = args.accept_changes;
+    let run = Run { settings, scene, lpips, stop, page, tensorboard, cluster, accepts_changes, began };
+    let ended = run.execute(&mut session)?;
     if let Some(cluster) = cluster {
         output::tell(&cluster.summary(began.elapsed().as_secs_f64())?);
     }

@@ -8,6 +8,7 @@ mod determinism;
 mod disk;
 mod foreign_folders;
 mod hostile;
+mod inputs;
 mod inspect;
 mod kills;
 mod limits;

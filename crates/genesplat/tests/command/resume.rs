@@ -156,7 +156,7 @@ fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     fs::rename(&before, &after).unwrap();
     let smaller = GalleryOptions { width: 64, height: 48, views: 10, points: 300, seed: 5 };
     gallery::generate(&smaller).write_colmap(&other).unwrap();
-    fail(train(&other, &out, &["--resume"]), &["other photos"]);
+    fail(train(&other, &out, &["--resume"]), &["photo gallery_000.png is not what the run began with"]);
     assert!(saved == config(), "what was refused has changed nothing");
     succeed(train(&after, &out, &["--resume"]));
     assert!(String::from_utf8(config()).unwrap().contains("after"));
