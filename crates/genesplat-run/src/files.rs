@@ -20,6 +20,7 @@ pub fn write_own_json(folder: &Path, name: &str, value: &impl Serialize) -> Resu
     write_own(folder, name, |out| writeln!(out, "{}", json(value)))
 }
 
+/// Writes `text` to `name` in `folder`, a name of ours.
 pub fn write_own_text(folder: &Path, name: &str, text: &str) -> Result<()> {
     write_own(folder, name, |out| out.write_all(text.as_bytes()))
 }
@@ -95,7 +96,7 @@ pub fn format_of(path: &Path) -> Result<Format> {
 }
 
 /// Removes the file `name` of ours in `folder`, which would be taken for something that it no longer is.
-pub(crate) fn remove_if_there(folder: &Path, name: impl AsRef<Path>) -> Result<()> {
+pub fn remove_if_there(folder: &Path, name: impl AsRef<Path>) -> Result<()> {
     own::remove(folder, &name).map_err(|error| {
         let path = folder.join(name);
         anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", shown(path))
@@ -111,7 +112,7 @@ pub fn remove_leftovers(folder: &Path) {
 }
 
 /// The same in `folder` and in all folders below it that are no links.
-pub(crate) fn remove_leftovers_below(folder: &Path) {
+pub fn remove_leftovers_below(folder: &Path) {
     remove_leftovers(folder);
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let folders = entries.filter(|entry| entry.file_type().is_ok_and(|there| there.is_dir()));

@@ -14,14 +14,15 @@ use serde::{Deserialize, Serialize};
 
 use super::session::Caller;
 use super::{CHECKPOINT, CONFIG, INPUTS, photos};
-use crate::settings::{Settings, difference_of_results};
 use crate::output;
+use crate::settings::{Settings, difference_of_results};
 
 /// What `inputs.json` holds, and a checkpoint.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inputs {
     /// Those on which the result depends, as TOML.
     pub settings: String,
+    /// Its photos, masks, cameras and points.
     pub scene: SceneDigests,
     /// What has changed meanwhile, and was accepted when the run was resumed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -34,6 +35,7 @@ impl Inputs {
         Self { settings: settings.of_result(), scene: scene.digests.clone(), accepted: Vec::new() }
     }
 
+    /// As `inputs.json` holds it.
     pub fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("text and digests are always JSON") + "\n"
     }

@@ -79,4 +79,4 @@ pub const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 const RESULTS: [&str; 8] = [METRICS, INPUTS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
 
 /// The folders of a run in which files are written whole.
-pub(crate) const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];
+pub const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];

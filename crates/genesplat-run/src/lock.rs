@@ -8,7 +8,8 @@ use genesplat_io::{own, shown};
 
 use crate::files::unwritable;
 
-pub(crate) const LOCK: &str = ".lock";
+/// The file that is locked.
+pub const LOCK: &str = ".lock";
 
 /// One process at a time writes to a folder. The lock is held until it is dropped, or its process ends.
 ///

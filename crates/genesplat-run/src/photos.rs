@@ -14,7 +14,6 @@ use serde::Deserialize;
 
 use super::metrics::Metrics;
 use super::{CLOUD, LOG};
-use crate::settings::ConfigFile;
 
 /// Extents that differ by less, relative to them, are equal but for rounding.
 const SAME_EXTENT: f64 = 1e-6;

@@ -18,7 +18,9 @@ use genesplat_train::checkpoint::JointWriter;
 use super::inputs::Inputs;
 use super::lock::{LOCK, Lock};
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
+use super::{
+    CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST,
+};
 use crate::files::{
     check_folder, check_name, check_own, make_own_folder, remove_if_there, remove_leftovers, write_own, write_own_json,
     write_own_text,

@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
 use genesplat::io::{SceneList, atomic, input, shown};
+use genesplat::run::files::{
+    check_name, make_own_folder, remove_if_there, remove_leftovers, remove_leftovers_below, write_own_json,
+};
+use genesplat::run::lock::{LOCK, Lock};
 use serde::{Deserialize, Serialize};
 
 use super::folder::SCENES;
-use crate::files::{
-    check_name, make_own_folder, remove_if_there, remove_leftovers, remove_leftovers_below, write_own_json,
-};
-use crate::run::lock::{LOCK, Lock};
 
 const NOTE: &str = "unfinished.json";
 

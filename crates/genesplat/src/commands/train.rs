@@ -16,7 +16,7 @@ use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{CLOUD, REPORT};
-use genesplat::run::{cluster, device, files, lpips, overwrite, scene};
+use genesplat::run::{cluster, device, files, lpips, overwrite, preparing, scene};
 use genesplat::terminal::interrupt;
 use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;

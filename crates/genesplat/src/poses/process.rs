@@ -83,7 +83,7 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     Ok(status.success())
 }
 
-fn open_log(log: &Path) -> std::io::Result<File> {
+fn open_log(log: &Path) -> io::Result<File> {
     own::append(log.parent().unwrap_or(Path::new("")), log.file_name().unwrap_or_default())
 }
 

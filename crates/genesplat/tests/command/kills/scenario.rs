@@ -17,12 +17,8 @@ pub(crate) const SIGKILL: i32 = 9;
 /// Scenarios that share the kills.
 const SCENARIOS: usize = 6;
 /// The whole schedule in sixty steps, averages included, and a checkpoint in every twentieth.
-pub(crate) const SCHEDULE: [&str; 4] = [
-    "--steps-scale=0.002",
-    "--max-gaussians=400",
-    "--checkpoint-every=20",
-    "--no-lpips",
-];
+pub(crate) const SCHEDULE: [&str; 4] =
+    ["--steps-scale=0.002", "--max-gaussians=400", "--checkpoint-every=20", "--no-lpips"];
 
 pub(crate) fn kills() -> usize {
     let wanted =
