@@ -35,7 +35,7 @@ const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
-/// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
+/// New here? `genesplat demo` builds a small scene, trains it by the published method and by ours, and shows the difference.
 #[derive(Debug, Parser)]
 #[command(name = "genesplat", version, max_term_width = 120, after_help = EXIT_STATUS)]
 pub(crate) struct Arguments {
@@ -65,7 +65,7 @@ pub(crate) fn moved(name: &str) -> Option<&'static str> {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Start here: build a small scene, train it without and with evolution, show the difference (a few minutes)
+    /// Start here: build a small scene, train it by the published method and by ours, show the difference (a few minutes)
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
