@@ -38,7 +38,7 @@ impl From<Gaussians> for DeviceState {
 /// What [`Device::upload`] is given.
 pub enum Upload<'a> {
     /// All that is to be held; of a device that is one of several, its share of the rows.
-    State(DeviceState),
+    State(Box<DeviceState>),
     /// A cloud of so many rows that no step has been made with.
     Rows {
         /// Rows of the whole cloud, on however many devices.
@@ -60,7 +60,7 @@ impl Upload<'_> {
     /// All of it, for a device that holds every row.
     pub fn into_state(self) -> DeviceState {
         match self {
-            Self::State(state) => state,
+            Self::State(state) => *state,
             Self::Rows { count, part } => part(0..count).into(),
         }
     }
@@ -68,14 +68,14 @@ impl Upload<'_> {
 
 impl From<DeviceState> for Upload<'_> {
     fn from(state: DeviceState) -> Self {
-        Self::State(state)
+        Self::State(Box::new(state))
     }
 }
 
 impl From<Gaussians> for Upload<'_> {
     /// A cloud that no step has been made with.
     fn from(cloud: Gaussians) -> Self {
-        Self::State(cloud.into())
+        DeviceState::from(cloud).into()
     }
 }
 
