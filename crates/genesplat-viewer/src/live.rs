@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{Backend, BackendError, Camera, DeviceState, Gaussians, Image, Photo, RenderSettings, Sight};
+use genesplat_core::{BackendError, Camera, Device, Gaussians, Image, Photo, RenderSettings, Sight};
 use serde::Serialize;
 
 use crate::ViewerError;
@@ -94,7 +94,7 @@ pub struct LiveView {
     /// When pages were last told of each.
     posted: [f64; 2],
     /// Renders what the render modes make of a cloud.
-    mode_backend: Box<dyn Backend>,
+    mode_device: Box<dyn Device>,
 }
 
 impl LiveView {
@@ -103,14 +103,14 @@ impl LiveView {
         address: SocketAddr,
         exhibition: Exhibition,
         can_train: bool,
-        mode_backend: Box<dyn Backend>,
+        mode_device: Box<dyn Device>,
     ) -> Result<Self, ViewerError> {
         let phase = if can_train { Phase::Training } else { Phase::Viewing };
         let state =
             State { phase, device: String::new(), iteration: 0, iterations: 0, gaussians: 0, loss: None, psnr: None };
         let server = Server::start(address, exhibition, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
-        let mut view = Self { server, clock, budget, state, curves, posted: [f64::NEG_INFINITY; 2], mode_backend };
+        let mut view = Self { server, clock, budget, state, curves, posted: [f64::NEG_INFINITY; 2], mode_device };
         view.post(true);
         Ok(view)
     }
@@ -294,12 +294,12 @@ impl LiveView {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<Image, BackendError> {
-        let backend = &mut *self.mode_backend;
-        let ready = backend.upload(derived.into()).and_then(|()| backend.end_training());
-        let render = ready.and_then(|()| backend.render(camera, settings));
+        let device = &mut *self.mode_device;
+        let ready = device.upload(derived.into()).and_then(|()| device.end_training());
+        let render = ready.and_then(|()| device.render(camera, settings));
         // This frees the memory of views, which the next verb may need to be granted.
-        backend.end_training()?;
-        backend.upload(DeviceState::default())?;
+        device.end_training()?;
+        device.upload(Gaussians::default().into())?;
         render
     }
 

@@ -9,7 +9,7 @@ use std::{env, process, thread};
 
 use anyhow::{Result, bail, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
-use genesplat::core::{Alone, BackendError, EvolutionBackend, RowOwners};
+use genesplat::core::{Alone, BackendError, Device, RowOwners};
 use genesplat::io::{Scene, archive, shown};
 use genesplat::train::{StepBudget, TrainConfig};
 
@@ -127,7 +127,7 @@ impl Cluster {
         &self.asked
     }
 
-    pub(crate) fn backend(&self) -> Box<dyn EvolutionBackend> {
+    pub(crate) fn backend(&self) -> Box<dyn Device> {
         Box::new(ClusterBackend::new(self.group.clone()))
     }
 

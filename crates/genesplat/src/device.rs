@@ -4,7 +4,6 @@ use std::sync::OnceLock;
 
 use anyhow::{Result, anyhow, bail};
 use clap::ValueEnum;
-use genesplat::core::EvolutionBackend;
 use genesplat::gpu::{AdapterReport, GpuBackend, adapters, check_best};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
@@ -12,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::args::MachineArgs;
 use crate::terminal::output;
 
-pub(crate) type Device = Box<dyn EvolutionBackend>;
+pub(crate) type Device = Box<dyn genesplat::core::Device>;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
