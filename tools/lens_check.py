@@ -145,7 +145,7 @@ def psnr(scene, seed):
     out = folder / "runs" / f"{scene}-{side}-{iterations}-{seed}"
     if not (out / "metrics.json").exists():
         size = ["--max-side", side, "--iterations", iterations, "--seed", seed]
-        options = [*size, "--evolve", "off", "--device", "cpu", "--no-lpips", "--quiet"]
+        options = [*size, "--method", "3dgs", "--device", "cpu", "--no-lpips", "--quiet"]
         subprocess.run([genesplat, "train", folder / scene, "--out", out, *options], check=True, stdout=subprocess.DEVNULL)
     return json.loads((out / "metrics.json").read_text())["test"]["psnr"]
 

@@ -76,7 +76,7 @@ def repeated(fox, folder, gaussians):
 def run(genesplat, scene, out, ranks, side, views, iterations, threads=1):
     """One run: seconds a photo, MB a step, and what its photos show."""
     if not (out / "metrics.json").exists():
-        options = f"--iterations {iterations} --max-side {side} --views-per-step {views} --evolve off --checkpoint-every 0"
+        options = f"--iterations {iterations} --max-side {side} --views-per-step {views} --method 3dgs --checkpoint-every 0"
         command = [str(genesplat), "train", str(scene), "--out", str(out), "--threads", str(threads), *options.split()]
         command += ["--device", "cpu", "--seed", "0", "--train-on-all", "--no-lpips"]
         if ranks > 1:

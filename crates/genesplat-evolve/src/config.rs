@@ -188,9 +188,7 @@ pub enum ConfigError {
         allowed: &'static str,
     },
     /// [`Magnitude::Gradient`] without gradients.
-    #[error(
-        "no gene gradients were accumulated; set magnitude to \"unit\", which needs none"
-    )]
+    #[error("no gene gradients were accumulated; set magnitude to \"unit\", which needs none")]
     MissingGradients,
     /// Gradients of another cloud.
     #[error("there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}")]
@@ -272,7 +270,8 @@ mod tests {
         assert_eq!((config.elites(), config.evaluations()), (10, 9100));
         let text = toml::to_string(&config).expect("plain values");
         assert_eq!(toml::from_str::<GeneticConfig>(&text), Ok(config));
-        let partial: GeneticConfig = toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
+        let partial: GeneticConfig =
+            toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
         assert_eq!((partial.crossover, partial.magnitude), (Crossover::Uniform, Magnitude::Unit));
         assert!(toml::from_str::<GeneticConfig>("tournaments = 3").is_err(), "unknown names are refused");
         assert!(toml::from_str::<GeneticConfig>("crossover = { kind = \"points\", cuts = 3 }").is_err());

@@ -42,7 +42,7 @@ mod individual;
 mod operators;
 pub mod population;
 
-pub use config::{ConfigError, Crossover, Magnitude, GeneticConfig, Rates};
+pub use config::{ConfigError, Crossover, GeneticConfig, Magnitude, Rates};
 pub use genetic::{GeneticAlgorithm, TellError};
 pub use operators::magnitude::GeneGradients;
 pub use operators::survival::LossStatistics;

@@ -6,9 +6,7 @@ mod common;
 
 use common::{applied, deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
-use genesplat_evolve::{
-    ConfigError, Crossover, GeneGradients, GeneticAlgorithm, GeneticConfig, Magnitude, TellError,
-};
+use genesplat_evolve::{ConfigError, Crossover, GeneGradients, GeneticAlgorithm, GeneticConfig, Magnitude, TellError};
 use proptest::prelude::*;
 
 #[test]

@@ -62,8 +62,7 @@ fn a_hundred_individuals_over_a_million_gaussians() {
         let base: Vec<Genes> = normal_base(1000).into_iter().cycle().take(n).collect();
         let gradients = GeneGradients { sum: base.clone(), views: vec![3; n] };
         let mut search =
-            GeneticAlgorithm::new(config, base, Some(gradients), 1.0, Rng::new(1))
-                .expect("valid settings");
+            GeneticAlgorithm::new(config, base, Some(gradients), 1.0, Rng::new(1)).expect("valid settings");
         while !search.is_finished() {
             // Later generations are better, so that none descends from an elite; only a few individuals are looked at.
             let looked_at: usize = deltas(&search, 0..3).iter().map(|delta| delta.rows.len()).sum();
@@ -98,8 +97,7 @@ fn a_whole_search_of_the_paper_stays_below_600_bytes_a_gaussian() {
     let config = GeneticConfig { magnitude: Magnitude::Unit, ..small(100, 100) };
     let (search, peak) = peak_of(|| {
         let base = normal_base(n);
-        let mut search =
-            GeneticAlgorithm::new(config, base, None, 1.0, Rng::new(1)).expect("valid settings");
+        let mut search = GeneticAlgorithm::new(config, base, None, 1.0, Rng::new(1)).expect("valid settings");
         while !search.is_finished() {
             let losses: Vec<f64> = (0..search.ask()).map(|index| dummy(search.generation(), index)).collect();
             search.tell(&losses).expect("one loss each");

@@ -42,7 +42,7 @@ fn documents_agree_with_the_results() {
         let expected = tables::update(&text, &root().join("lab/results")).unwrap();
         assert!(
             text == expected,
-"{} disagrees with lab/results: cargo run --release -p genesplat-lab -- tables",
+            "{} disagrees with lab/results: cargo run --release -p genesplat-lab -- tables",
             path.display()
         );
         with_tables += usize::from(text.contains("<!-- table: "));

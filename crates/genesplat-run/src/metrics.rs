@@ -4,7 +4,7 @@ use std::path::Path;
 
 use genesplat_io::input;
 use genesplat_metrics::Evaluation;
-use genesplat_train::{EvolutionMode, StageRecord, Variant};
+use genesplat_train::{MethodName, StageRecord};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
@@ -44,10 +44,10 @@ pub struct Metrics {
     pub dataset: String,
     /// The method.
     #[serde(skip_deserializing)]
-    pub variant: Variant,
-    /// Evolution beside it.
+    pub method: MethodName,
+    /// With the published search after each opacity reset.
     #[serde(skip_deserializing)]
-    pub evolve: EvolutionMode,
+    pub genetic: bool,
     /// Of all random numbers.
     #[serde(skip_deserializing)]
     pub seed: u64,
@@ -95,6 +95,11 @@ impl PhaseSeconds {
 }
 
 impl Metrics {
+    /// The method, for people.
+    pub fn method_words(&self) -> String {
+        format!("{}{}", self.method, if self.genetic { " with the genetic search" } else { "" })
+    }
+
     /// Those of the run in `folder`; `None` where there are none, or only a part of the file.
     pub fn read(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&input::read(&folder.join(METRICS)).ok()?).ok()

@@ -247,25 +247,17 @@ fn stage_sentence(record: &StageRecord, gaussians: usize) -> String {
     let all = thousands(gaussians);
     let is_kept = changed > 0;
     match (kind, record.guard_psnr) {
-        (StageKind::Renewal, Some([before, after])) if is_kept => {
-            // A Gaussian that is replaced makes room for one of a pair.
-            let replaced = thousands(changed / 2);
-            format!("evolution: replaced {replaced} of {all} Gaussians, guard PSNR {before:.2} -> {after:.2} dB")
-        }
-        (StageKind::Renewal, _) => {
-            "evolution: took the last replacement of Gaussians back, since guard PSNR had fallen".into()
-        }
         (StageKind::ExtraSteps, _) => format!("{} extra gradient steps", thousands(renders as usize)),
-        (StageKind::Averaging, _) if is_kept => "evolution: averaged the weights of the last iterations".into(),
+        (StageKind::Averaging, _) if is_kept => "averaged the weights of the last iterations".into(),
         (StageKind::Averaging, Some([before, after])) => format!(
-            "evolution: kept the last weights, since their average lags {:.2} dB behind on training photos",
+            "kept the last weights, since their average lags {:.2} dB behind on training photos",
             before - after
         ),
         _ if is_kept => format!(
-            "evolution: changed {} of {all} Gaussians, loss {fitness_before:.4} -> {fitness_after:.4}",
+            "genetic search: changed {} of {all} Gaussians, loss {fitness_before:.4} -> {fitness_after:.4}",
             thousands(changed)
         ),
-        _ => "evolution: found nothing better, and changed nothing".into(),
+        _ => "genetic search: found nothing better, and changed nothing".into(),
     }
 }
 
@@ -275,30 +267,23 @@ mod tests {
 
     #[test]
     fn what_a_stage_did_is_said_in_plain_words() {
-        let record = StageRecord {
-            kind: StageKind::Renewal,
+        let search = StageRecord {
+            kind: StageKind::Genetic,
             iteration: 3500,
             generations: 1,
             renders: 12,
             fitness_before: 0.014_72,
             fitness_after: 0.014_27,
-            guard_psnr: Some([30.4, 31.31]),
+            guard_psnr: None,
             changed: 8600,
             population_bytes: 0,
             seconds: 1.0,
         };
-        assert_eq!(
-            stage_sentence(&record, 43_000),
-            "evolution: replaced 4,300 of 43,000 Gaussians, guard PSNR 30.40 -> 31.31 dB"
-        );
-        let nothing = StageRecord { changed: 0, ..record };
-        assert!(stage_sentence(&nothing, 43_000).contains("back"));
+        let changed = "genetic search: changed 8,600 of 43,000 Gaussians, loss 0.0147 -> 0.0143";
+        assert_eq!(stage_sentence(&search, 43_000), changed);
+        let nothing = StageRecord { changed: 0, ..search };
+        assert!(stage_sentence(&nothing, 43_000).contains("nothing better"));
         let lagging = StageRecord { kind: StageKind::Averaging, guard_psnr: Some([31.0, 29.75]), ..nothing };
         assert!(stage_sentence(&lagging, 43_000).contains("lags 1.25 dB behind"));
-        let search = StageRecord { kind: StageKind::Paper, guard_psnr: None, ..record };
-        assert_eq!(
-            stage_sentence(&search, 43_000),
-            "evolution: changed 8,600 of 43,000 Gaussians, loss 0.0147 -> 0.0143"
-        );
     }
 }

@@ -29,6 +29,20 @@ pub const TEST_EVERY: RangeInclusive<i64> = 2..=u32::MAX as i64;
 /// Numbers of threads that can be asked for.
 pub const THREADS: RangeInclusive<i64> = 1..=1024;
 
+/// Keys of earlier versions, and what stands for them.
+const OLD_KEYS: [(&str, &str); 6] = [
+    ("variant", "the method is a table of its own, as in `[method] name = \"mcmc\"`"),
+    (
+        "evolution",
+        "mode renew is the method `name = \"genesplat\"` in [method], mode paper is a table [genetic] with the settings of \
+         [evolution.paper], and mode off is any other method",
+    ),
+    ("densify", "its settings are those of the method, in [method] (docs/settings.md)"),
+    ("optimiser", "rates are settings of the method, in [method] (docs/settings.md)"),
+    ("mcmc", "its settings are those of the method, in [method] (docs/settings.md)"),
+    ("extent", "the size of the scene is that of its cameras; leave it out"),
+];
+
 /// Whether a near plane may lie at this depth.
 pub fn is_near(depth: f64) -> bool {
     depth > 0.0 && depth <= 1e9
@@ -233,6 +247,9 @@ impl ConfigFile {
 
     /// What a file with this content would say.
     pub fn from_table(mut table: Table) -> Result<Self, toml::de::Error> {
+        if let Some((key, instead)) = OLD_KEYS.into_iter().find(|(key, _)| table.contains_key(*key)) {
+            return Err(toml::de::Error::custom(format!("`{key}` is of an earlier version: {instead}")));
+        }
         let (device, threads) = (take(&mut table, "device")?, take(&mut table, "threads")?);
         let dataset = take(&mut table, "dataset")?.unwrap_or_default();
         table.entry("checkpoint_every").or_insert(CHECKPOINT_EVERY.into());
@@ -409,7 +426,7 @@ fn first_difference(there: &Table, here: &Table) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_train::EvolutionMode;
+    use genesplat_train::{MethodConfig, MethodName};
 
     use super::*;
 
@@ -439,11 +456,31 @@ mod tests {
         let said = difference(&small, &train);
         assert_eq!(said.as_deref(), Some("dataset.max_side is not set there and 64 here"));
         let mut other = train.clone();
-        other.evolution.mode = EvolutionMode::Off;
+        other.method.capacity = 0.5;
         let said = difference(&dataset, &other);
-        assert_eq!(said.as_deref(), Some("evolution.mode is \"renew\" there and \"off\" here"));
+        assert_eq!(said.as_deref(), Some("method.capacity is 1.0 there and 0.5 here"));
+        other.method = MethodConfig::of(MethodName::Mcmc);
+        let said = difference(&dataset, &other);
+        assert!(said.is_some_and(|said| said.starts_with("method.")));
         let other = TrainConfig { max_gaussians: Some(9), seed: 4, ..train.clone() };
         let said = difference(&dataset, &other);
         assert_eq!(said.as_deref(), Some("seed is 0 there and 4 here"));
+    }
+
+    #[test]
+    fn settings_of_old_files_have_a_sentence_with_the_new_one() {
+        let refused = |text: &str| ConfigFile::from_table(text.parse().unwrap()).unwrap_err().message().to_owned();
+        for (old, new) in [
+            ("variant = \"mcmc\"", "[method] name = \"mcmc\""),
+            ("[evolution]\nmode = \"renew\"", "name = \"genesplat\""),
+            ("[evolution]\nmode = \"paper\"", "[genetic]"),
+            ("[densify]\nevery = 7", "[method]"),
+            ("[optimiser]\nscale = 7", "[method]"),
+            ("[mcmc]\nnoise = 7", "[method]"),
+            ("extent = 7", "leave it out"),
+        ] {
+            let sentence = refused(old);
+            assert!(sentence.contains(new), "{old}: {sentence}");
+        }
     }
 }

@@ -85,10 +85,7 @@ impl Run<'_> {
         if session.resumes() {
             photos::check(session.path(), self.scene)?;
         }
-        let config = self.settings.schedule.config();
-        if config.extent.is_none() {
-            scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
-        }
+        scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
         self.cluster.map_or_else(|| device::open(self.settings.device), |cluster| Ok(cluster.backend()))
     }
 
@@ -180,10 +177,10 @@ impl Run<'_> {
     fn metrics(&self, summary: RunSummary, (test, train): (Evaluation, Evaluation), seconds: PhaseSeconds) -> Metrics {
         let config = self.settings.schedule.config();
         Metrics {
-            schema: 1,
+            schema: 2,
             dataset: self.scene.name.clone(),
-            variant: config.variant,
-            evolve: config.evolution.mode,
+            method: config.method.name,
+            genetic: config.genetic.is_some(),
             seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
@@ -238,6 +235,7 @@ impl Run<'_> {
         let (dataset, out, saved) = (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
         let (config, command) = (self.settings.to_toml(), command_line(words));
-        RunPage { metrics, curves, scene: self.scene, folder, config: &config, command: &command }.into_html()
+        let (scene, timeline) = (self.scene, self.settings.schedule.timeline());
+        RunPage { metrics, curves, scene, folder, config: &config, command: &command, timeline }.into_html()
     }
 }

@@ -4,7 +4,7 @@ use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsReq
 
 use crate::config::TrainConfig;
 use crate::method::Method;
-use crate::timeline::{Event, Timeline, VirtualSteps};
+use crate::timeline::{Event, Timeline, VirtualSteps, thousands};
 
 /// Every second step looks at a virtual view where photos are no more than this, every fourth where they are no more
 /// than twice as many, and so on. (Even, so that the iterations whose loss is logged, multiples of ten, look at photos.)
@@ -96,6 +96,22 @@ impl Schedule {
         }
         let from = self.timeline.first(Event::RefreshVirtualViews)?;
         Some(VirtualSteps { from, every: 2 * photos.div_ceil(PHOTOS_OF_HALF) })
+    }
+
+    /// What happens when, in words, a line for each event that happens at all in a run with so many photos.
+    pub fn lines(&self, photos: usize) -> Vec<String> {
+        let mut lines = self.timeline.lines();
+        match self.virtual_steps(photos) {
+            None => lines.retain(|line| !line.starts_with(Event::RefreshVirtualViews.words())),
+            Some(VirtualSteps { from, every }) => {
+                lines.push(format!("one step in {every} looks at a virtual view after {}", thousands(from)));
+            }
+        }
+        let method = &self.config.method;
+        let (start, end) = (method.position_rate_start, method.position_rate_end);
+        let steps = thousands(self.timeline.position_steps);
+        lines.push(format!("the rate of positions falls from {start:e} to {end:e} over {steps}"));
+        lines
     }
 
     /// The search, or the control in its place, was asked for, and will not come.

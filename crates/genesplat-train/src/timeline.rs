@@ -71,7 +71,7 @@ impl Event {
     }
 
     /// For people.
-    fn words(self) -> &'static str {
+    pub fn words(self) -> &'static str {
         match self {
             Self::Step => "gradient step",
             Self::RefreshVirtualViews => "pictures of virtual views",
@@ -456,7 +456,7 @@ fn in_words(when: When) -> String {
 }
 
 /// With a comma for every thousand.
-fn thousands(number: u32) -> String {
+pub(crate) fn thousands(number: u32) -> String {
     let digits = number.to_string();
     let groups: Vec<&[u8]> = digits.as_bytes().rchunks(3).rev().collect();
     groups.into_iter().map(String::from_utf8_lossy).collect::<Vec<_>>().join(",")

@@ -162,7 +162,7 @@ mod tests {
         let scores = |psnr: f64| serde_json::json!({"psnr": psnr, "ssim": 0.9, "lpips": null, "views": []});
         let notice = |curves: &Curves, test: f64, train: f64| {
             let metrics = serde_json::json!({
-                "schema": 1, "dataset": "fox", "variant": "3dgs", "evolve": "off", "seed": 0, "iterations": 7000, "gaussians": 9,
+                "schema": 2, "dataset": "fox", "method": "3dgs", "genetic": false, "seed": 0, "iterations": 7000, "gaussians": 9,
                 "test": scores(test), "train": scores(train), "peak_memory_bytes": null, "evolution": [],
                 "seconds": {"load": 0.0, "gradient": 0.0, "evolution": 0.0, "evaluate": 0.0, "total": 0.0},
             });

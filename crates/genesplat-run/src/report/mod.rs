@@ -12,3 +12,4 @@ pub mod picture;
 pub mod run;
 pub mod sheet;
 mod stages;
+mod timeline;

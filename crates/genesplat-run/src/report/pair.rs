@@ -1,4 +1,4 @@
-//! The page that compares two runs on one scene, without and with evolution.
+//! The page that compares two runs on one scene.
 
 use std::path::Path;
 
@@ -20,8 +20,8 @@ const SHEET_PX: u32 = 1600;
 
 /// One of the two runs; its render is that of the photo that is shown.
 pub struct Side<'a> {
-    /// `without` or `with`, which is its folder's name, too.
-    pub name: &'static str,
+    /// The name of its folder, beside the page.
+    pub name: &'a str,
     /// Its figures.
     pub metrics: &'a Metrics,
     /// Its folder.
@@ -33,33 +33,30 @@ pub struct Side<'a> {
 /// `photo` names the photo that is shown, `sheet` where the renders of it differ most, and `command` repeats both runs.
 pub fn to_html(title: &str, sides: &[Side<'_>; 2], photo: &str, sheet: &Photo, command: &str) -> Result<String> {
     let [without, with] = sides;
-    let Metrics { variant, evolve, seed, iterations, .. } = with.metrics;
-    let (iterations, evolve) = (thousands(*iterations as usize), evolve.name());
+    let Metrics { seed, iterations, .. } = with.metrics;
+    let iterations = thousands(*iterations as usize);
+    let [before, after] = [without, with].map(|side| side.metrics.method_words());
     let mut page = Html::new();
-    page.element("h1", title).element(
-        "p",
-        &format!("{variant} for {iterations} iterations, without and with evolution ({evolve}), seed {seed}"),
-    );
+    page.element("h1", title)
+        .element("p", &format!("{before} beside {after}, {iterations} iterations each, seed {seed}"));
     page.figures(&figures(without.metrics, with.metrics));
     page.element("h2", "The same photo, rendered by both");
     let seen = format!("{photo}, which training never saw. Drag the border, or move it with the arrow keys.");
     page.element("p", &seen);
-    let pictures = [("without evolution", without.render), ("with evolution", with.render)];
+    let pictures = [(before.as_str(), without.render), (after.as_str(), with.render)];
     picture::write_slider(&mut page, pictures, PICTURE_PX);
     page.element("h2", "Where they differ most");
     page.element("p", "The program chose the places. Green: where error fell most; red: where it rose most.");
     page.open("figure class=\"sheet\"");
-    let alt = "The photo with the places framed, and each place enlarged: photo, without, with evolution";
+    let alt = &format!("The photo with the places framed, and each place enlarged: photo, {before}, {after}");
     picture::write_sheet(&mut page, sheet, SHEET_PX, alt);
     page.close("figure").element("h2", "Over time").open("div class=\"row\"");
-    let logs = sides
-        .iter()
-        .map(|Side { name, folder, .. }| Ok((format!("{name} evolution"), Curves::read(&folder.join(LOG))?)));
+    let logs = sides.iter().map(|Side { name, folder, .. }| Ok(((*name).to_owned(), Curves::read(&folder.join(LOG))?)));
     over_time("", &logs.collect::<Result<Vec<_>>>()?).iter().for_each(|chart| chart.write(&mut page));
     page.close("div").element("h2", "Each run").open("ul");
     for Side { name, .. } in sides {
         page.open("li").open(&format!("a href=\"{name}/report.html\""));
-        page.text(&format!("The run {name} evolution")).close("a").close("li");
+        page.text(&format!("The run {name}")).close("a").close("li");
     }
     page.close("ul");
     write_repeat(&mut page, command);
@@ -67,7 +64,8 @@ pub fn to_html(title: &str, sides: &[Side<'_>; 2], photo: &str, sheet: &Photo, c
 }
 
 fn figures(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
-    let both = |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} without evolution", text(without)));
+    let first = without.method_words();
+    let both = |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} with {first}", text(without)));
     [
         ("PSNR of test photos", both(&|run| number(Some(run.test.psnr), 2, " dB"))),
         ("SSIM of test photos", both(&|run| number(Some(run.test.ssim), 4, ""))),

@@ -7,12 +7,13 @@ use genesplat_core::Photo;
 use genesplat_io::photos::read_photo;
 use genesplat_io::{Scene, command_line};
 use genesplat_metrics::{Evaluation, ViewScore};
+use genesplat_train::timeline::Timeline;
 
 use super::chart::{Chart, Series};
 use super::curves::{Curves, over_time};
 use super::html::{Html, document};
 use super::picture;
-use super::stages;
+use super::{stages, timeline};
 use crate::TEST;
 use crate::metrics::Metrics;
 use crate::numbers::{duration, memory, number, thousands};
@@ -28,18 +29,19 @@ pub(crate) struct RunPage<'a> {
     pub(crate) folder: &'a Path,
     pub(crate) config: &'a str,
     pub(crate) command: &'a str,
+    pub(crate) timeline: &'a Timeline,
 }
 
 impl RunPage<'_> {
     pub(crate) fn into_html(self) -> Result<String> {
-        let Metrics { dataset, variant, evolve, seed, iterations, test, .. } = self.metrics;
+        let Metrics { dataset, seed, iterations, test, .. } = self.metrics;
+        let method = self.metrics.method_words();
         let iterations = thousands(*iterations as usize);
         let mut page = Html::new();
         page.element("h1", dataset).element(
             "p",
             &format!(
-                "{variant}, evolution {}, {iterations} iterations, seed {seed}; {} training photos, {} test photos",
-                evolve.name(),
+                "{method}, {iterations} iterations, seed {seed}; {} training photos, {} test photos",
                 self.scene.train.len(),
                 test.views.len()
             ),
@@ -48,11 +50,12 @@ impl RunPage<'_> {
         self.curves.notices.iter().for_each(|notice| _ = page.element("p class=\"notice\"", notice));
         self.write_views(&mut page)?;
         write_curves(&mut page, self.curves);
+        timeline::write(&mut page, self.timeline);
         stages::write(&mut page, &self.metrics.evolution);
         write_scores(&mut page, self.metrics);
         write_repeat(&mut page, self.command);
         page.open("details").element("summary", "Configuration").element("pre", self.config).close("details");
-        Ok(document(&format!("{dataset}: {variant}, evolution {}, seed {seed}", evolve.name()), page))
+        Ok(document(&format!("{dataset}: {method}, seed {seed}"), page))
     }
 
     /// The best and the worst test photo, each with its render under a slider.

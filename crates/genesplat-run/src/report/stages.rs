@@ -19,7 +19,7 @@ pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
     records.sort_by_key(|record| record.iteration);
     let kept = records.iter().filter(|record| record.changed > 0).count();
     let stages = plural(records.len(), "stage", "stages");
-    page.element("h2", "What evolution did")
+    page.element("h2", "What was searched and averaged")
         .element("p", &format!("{kept} of {} {stages} changed the cloud.", records.len()));
     for kind in StageKind::ALL.into_iter().filter(|kind| records.iter().any(|record| record.kind == *kind)) {
         page.element("p class=\"dim\"", about(kind));
@@ -33,15 +33,11 @@ pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
 /// What a stage does, and what decides whether it stays.
 fn about(kind: StageKind) -> &'static str {
     match kind {
-        StageKind::Paper => "A search (paper) stays if the loss on its training photos falls.",
-        StageKind::ExtraSteps => "Extra steps are gradient steps in the place of evolution, and always stay.",
+        StageKind::Genetic => "A genetic search stays if the loss on its training photos falls.",
+        StageKind::ExtraSteps => "Extra steps are gradient steps in the place of a search, and always stay.",
         StageKind::Averaging => {
             "Averages of the last states fit training photos a little less as a rule, and others better; they stay unless the guards, \
              which are training photos, lose 0.6 dB by them."
-        }
-        StageKind::Renewal => {
-            "A renewal replaces the Gaussians that contribute least; it stays if the mean PSNR of the guards, which are training \
-             photos, has not fallen by the next one."
         }
     }
 }
@@ -86,7 +82,7 @@ mod tests {
 
     fn record(iteration: u32, guard_psnr: Option<[f64; 2]>) -> StageRecord {
         StageRecord {
-            kind: if guard_psnr.is_some() { StageKind::Renewal } else { StageKind::Paper },
+            kind: if guard_psnr.is_some() { StageKind::Averaging } else { StageKind::Genetic },
             iteration,
             generations: 1,
             renders: 1200,
@@ -106,7 +102,7 @@ mod tests {
         let text = page.into_text();
         let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
         assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
-        assert!(at("2 of 2 stages changed") > 0 && at("A renewal replaces") > 0 && !text.contains("Averages of"));
+        assert!(at("2 of 2 stages changed") > 0 && at("Averages of") > 0 && at("A genetic search") > 0);
         assert!(at("<td>4,300</td>") > 0 && at("<td>30.50</td>") > 0 && at("<td>1,200</td>") > 0);
     }
 

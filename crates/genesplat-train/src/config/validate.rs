@@ -64,10 +64,8 @@ impl TrainConfig {
         check("iterations", self.iterations, self.iterations > 0 && scaled <= ITERATIONS_MAX, wanted)?;
         let views = self.views_per_step;
         check("views_per_step", views, (1..=1000).contains(&views), "between 1 and 1000")?;
-        let counts = [
-            ("method.densify_every", self.method.densify_every),
-            ("method.reset_every", self.method.reset_every),
-        ];
+        let counts =
+            [("method.densify_every", self.method.densify_every), ("method.reset_every", self.method.reset_every)];
         counts.into_iter().try_for_each(|(setting, value)| check(setting, value, value > 0, "at least 1"))
     }
 

@@ -123,13 +123,8 @@ mod tests {
 
     use super::*;
 
-    const RULES: Rules = Rules {
-        gradient_threshold: 2e-4,
-        clone_size_max: 0.1,
-        prune_opacity: 0.005,
-        prune_size: Some(1.0),
-        cap: None,
-    };
+    const RULES: Rules =
+        Rules { gradient_threshold: 2e-4, clone_size_max: 0.1, prune_opacity: 0.005, prune_size: Some(1.0), cap: None };
     const KEPT: Origin = Origin::Kept;
     const FIRST: Origin = Origin::SplitChild { child: 0 };
     const SECOND: Origin = Origin::SplitChild { child: 1 };

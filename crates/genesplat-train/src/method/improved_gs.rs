@@ -124,7 +124,8 @@ pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> R
     } else {
         let is_after = i > timeline.densify.every && timeline.prunes_slow(i - timeline.densify.every);
         let (wanted, turn) = (if is_after { most_views } else { SCORE_VIEWS }, i / timeline.densify.every);
-        let shown = selection::views_of_turn(trainer.run.views.len(), wanted, turn * SCORE_VIEWS as u32, trainer.run.rng);
+        let shown =
+            selection::views_of_turn(trainer.run.views.len(), wanted, turn * SCORE_VIEWS as u32, trainer.run.rng);
         let settings = trainer.settings(i);
         selection::edge_scores(trainer.backend, trainer.run.views, &shown, &settings)?
     };

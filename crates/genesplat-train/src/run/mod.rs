@@ -109,9 +109,7 @@ pub enum TrainError {
         near: f64,
     },
     /// Pruning left nothing.
-    #[error(
-        "every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together"
-    )]
+    #[error("every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together")]
     NothingLeft {
         /// Counted from 1.
         iteration: u32,

@@ -157,8 +157,7 @@ mod tests {
 
     #[test]
     fn who_shortens_a_run_hears_which_intervals_stay() {
-        let notice =
-            |method, scale| notice_of_kept_intervals(&schedule(method, |config| config.steps_scale = scale));
+        let notice = |method, scale| notice_of_kept_intervals(&schedule(method, |config| config.steps_scale = scale));
         assert_eq!((notice(MethodName::ThreeDgs, 1.0), notice(MethodName::ThreeDgs, 2.0)), (None, None));
         // Our intervals follow the length of the run.
         for scale in [0.01, 0.1, 1.0, 2.0] {
@@ -175,9 +174,8 @@ mod tests {
 
     #[test]
     fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
-        let notice = |iterations| {
-            notice_of_late_reset(&schedule(MethodName::ThreeDgs, |config| config.iterations = iterations))
-        };
+        let notice =
+            |iterations| notice_of_late_reset(&schedule(MethodName::ThreeDgs, |config| config.iterations = iterations));
         // One that would fall into the last iteration does not happen.
         for iterations in [2000, 3000, 3300, 7000, 30_000] {
             assert_eq!(notice(iterations), None);

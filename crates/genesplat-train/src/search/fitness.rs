@@ -36,7 +36,8 @@ impl Fitness {
 impl Trainer<'_> {
     /// What the stage of iteration `i` is measured on: the same views in all stages of a run.
     pub(crate) fn fitness(&self, i: u32) -> Fitness {
-        let views = self.run.config().genetic.as_ref().map_or_else(|| GeneticConfig::default().views, |genetic| genetic.views);
+        let views =
+            self.run.config().genetic.as_ref().map_or_else(|| GeneticConfig::default().views, |genetic| genetic.views);
         let views = spread_evenly(self.run.views, views, &self.run.rng, 0);
         Fitness { views, settings: self.settings(i) }
     }

@@ -17,8 +17,8 @@ mod fitness;
 mod genetic;
 mod guards;
 
-pub(crate) use extra_steps::ExtraGradientSteps;
 pub use alone::search;
+pub(crate) use extra_steps::ExtraGradientSteps;
 pub(crate) use genetic::GeneticSearch;
 
 /// A part of a run that is no iteration of its own.

@@ -36,7 +36,9 @@ fn step(schedule: &Schedule, i: u32) -> OptimiserStep {
 
 #[test]
 fn multiples_are_those_from_one_number_to_before_another() {
-    for (every, from, until) in (1..9).flat_map(|every| (0..20).flat_map(move |from| (0..25).map(move |until| (every, from, until)))) {
+    for (every, from, until) in
+        (1..9).flat_map(|every| (0..20).flat_map(move |from| (0..25).map(move |until| (every, from, until))))
+    {
         let when = When::multiples(every, from, until);
         let wanted: Vec<u32> = (from.max(1)..until).filter(|i| i.is_multiple_of(every)).collect();
         assert_eq!(when.iter().collect::<Vec<_>>(), wanted, "{every}, {from}, {until}");
@@ -47,7 +49,9 @@ fn multiples_are_those_from_one_number_to_before_another() {
 
 #[test]
 fn counting_back_leaves_the_end_out() {
-    for (end, every, after) in (1..20).flat_map(|end| (1..6).flat_map(move |every| (0..end).map(move |after| (end, every, after)))) {
+    for (end, every, after) in
+        (1..20).flat_map(|end| (1..6).flat_map(move |every| (0..end).map(move |after| (end, every, after))))
+    {
         let when = When::back_from(end, every, after);
         let wanted: Vec<u32> = (after + 1..end).filter(|i| (end - i).is_multiple_of(every)).collect();
         assert_eq!(when.iter().collect::<Vec<_>>(), wanted, "{end}, {every}, {after}");
@@ -137,16 +141,14 @@ fn a_white_background_resets_once_more_and_costs_opacity_one_step() {
 /// Where it falls on another one.
 #[test]
 fn two_resets_of_an_iteration_are_one() {
-    let schedule =
-        schedule(|config| (config.background, config.method.reset_every) = (Background::White, 500));
+    let schedule = schedule(|config| (config.background, config.method.reset_every) = (Background::White, 500));
     assert_eq!(events(&schedule, 500), [Event::Step, Event::ResetOpacity]);
     assert!(iterations_with(&schedule, Event::ResetOpacity).into_iter().eq((500..15_000).step_by(500)));
 }
 
 #[test]
 fn without_density_control_not_even_white_resets() {
-    let schedule =
-        schedule(|config| (config.background, config.method.densify_until) = (Background::White, 0));
+    let schedule = schedule(|config| (config.background, config.method.densify_until) = (Background::White, 0));
     assert_eq!(iterations_with(&schedule, Event::ResetOpacity), [] as [u32; 0]);
     assert_eq!(iterations_with(&schedule, Event::Densify), [] as [u32; 0]);
 }

@@ -4,26 +4,30 @@ use genesplat::flags::Choice;
 use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
 use genesplat::run::metrics::Split;
-use genesplat::train::config::Signal;
-use genesplat::train::{Background, EvolutionMode, Variant};
+use genesplat::train::{Background, MethodName};
 
-/// `--variant`.
-pub(crate) const VARIANTS: &[Choice<Variant>] = &[
-    (Variant::ThreeDgs, &["3dgs"], "3D Gaussian Splatting (Kerbl et al. 2023)"),
-    (Variant::PixelGs, &["pixel-gs"], "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them"),
+/// `--method`.
+pub(crate) const METHODS: &[Choice<MethodName>] = &[
     (
-        Variant::MipSplatting,
+        MethodName::Genesplat,
+        &["genesplat", "ours"],
+        "Ours: as many Gaussians as the photos can determine, which split where photos have edges; the mean of the last states",
+    ),
+    (MethodName::ThreeDgs, &["3dgs"], "3D Gaussian Splatting (Kerbl et al. 2023)"),
+    (MethodName::PixelGs, &["pixel-gs"], "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them"),
+    (
+        MethodName::MipSplatting,
         &["mip-splatting"],
         "Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos",
     ),
     (
-        Variant::Mcmc,
+        MethodName::Mcmc,
         &["mcmc"],
         "3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians; \
          give it several thousand iterations",
     ),
     (
-        Variant::ImprovedGs,
+        MethodName::ImprovedGs,
         &["improved-gs"],
         "Improved-GS (Deng et al. 2025): splits where photos have edges, up to --max-gaussians; lower rates, fewer and larger \
          steps late",
@@ -46,37 +50,6 @@ pub(crate) const PRESETS: &[Choice<&str>] = &[
         "[dataset]\ndownscale = 1",
         &["best"],
         "All that the photos have: their full size, however large, over 30000 steps; takes the most memory and time",
-    ),
-];
-
-const PAPER: Choice<EvolutionMode> = (
-    EvolutionMode::Paper,
-    &["paper"],
-    "The genetic algorithm of \"An Evolutionary Boost to Gaussian Splatting Optimization\"",
-);
-
-/// `--evolve`.
-pub(crate) const EVOLUTION: &[Choice<EvolutionMode>] = &[
-    (EvolutionMode::Off, &["off"], "Gradient steps only: the published trainer"),
-    PAPER,
-    (
-        EvolutionMode::Renew,
-        &["renew"],
-        "As many Gaussians as the photos can determine: they multiply where photos have edges, those that recover slowly from an \
-         opacity reset go, and the last states are averaged. (pixel-gs and mcmc keep their own density control, and those that \
-         contribute least are replaced later in the run)",
-    ),
-];
-
-/// `--evolve` of `refine`, which neither grows nor resets.
-pub(crate) const REFINEMENT: &[Choice<EvolutionMode>] = &[
-    (EvolutionMode::Off, &["off"], "Gradient steps only"),
-    PAPER,
-    (
-        EvolutionMode::Renew,
-        &["renew"],
-        "Gradient steps; now and then the Gaussians that contribute least are replaced by splitting those of largest error, and the \
-         last states are averaged. Their number stays",
     ),
 ];
 
@@ -105,26 +78,6 @@ pub(crate) const MASKS: &[Choice<MaskUse>] = &[
     ),
 ];
 
-/// `--densify-signal`.
-pub(crate) const SIGNALS: &[Choice<Signal>] = &[
-    (Signal::Published, &["published"], "The method's own"),
-    (
-        Signal::Absolute,
-        &["absolute", "absgrad"],
-        "Absolute values (\"absgrad\" of gsplat): sharper details with fewer Gaussians; its threshold is \
-         densify.gradient_threshold of the configuration file",
-    ),
-    (
-        Signal::Gof,
-        &["gof"],
-        "As in later releases of Mip-Splatting and in Gaussian Opacity Fields: grows about twice as many",
-    ),
-];
-
-/// `--split` of `evaluate`.
-pub(crate) const SPLITS: &[Choice<Split>] =
-    &[(Split::Test, &["test"], "Photos that training never saw"), (Split::Train, &["train"], "Photos that it saw")];
-
 /// `--spz-version`.
 pub(crate) const SPZ_VERSIONS: &[Choice<SpzVersion>] = &[
     (SpzVersion::V3, &["3"], "One gzip stream, which most viewers read"),
@@ -148,12 +101,10 @@ mod tests {
 
     #[test]
     fn flags_name_values_as_files_do() {
-        assert_named_as_in_files(VARIANTS);
-        assert_named_as_in_files(EVOLUTION);
-        assert_named_as_in_files(REFINEMENT);
+        assert_named_as_in_files(METHODS);
+        assert!(METHODS.iter().map(|choice| choice.0).eq(MethodName::ALL));
         assert_named_as_in_files(BACKGROUNDS);
         assert_named_as_in_files(FIXED_BACKGROUNDS);
-        assert_named_as_in_files(SIGNALS);
         assert_named_as_in_files(MASKS);
         assert_named_as_in_files(SPLITS);
     }
@@ -168,12 +119,12 @@ mod tests {
 
     #[test]
     fn a_value_has_other_names_too() {
-        let parser = choice(SIGNALS);
+        let parser = choice(METHODS);
         let parsed = |name: &str| {
             let parsed = parser.parse_ref(&clap::Command::new("x"), None, std::ffi::OsStr::new(name));
             parsed.ok()
         };
-        assert_eq!([parsed("absolute"), parsed("absgrad")], [Some(Signal::Absolute); 2]);
-        assert_eq!(parsed("relative"), None);
+        assert_eq!([parsed("genesplat"), parsed("ours")], [Some(MethodName::Genesplat); 2]);
+        assert_eq!(parsed("2dgs"), None);
     }
 }

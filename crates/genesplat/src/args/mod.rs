@@ -9,9 +9,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use genesplat::flags::{JsonArgs, LpipsArgs, MORE, MachineArgs, VolumeArgs, choice};
 use genesplat::run::metrics::Split;
-use genesplat::train::{Background, EvolutionMode};
+use genesplat::train::{Background, MethodName};
 
-use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, SPLITS};
+use choice::{FIXED_BACKGROUNDS, METHODS, SPLITS};
 
 mod blocks;
 mod choice;
@@ -28,7 +28,7 @@ pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
-pub(crate) use train::{SearchArgs, TrainArgs};
+pub(crate) use train::{OldArgs, SearchArgs, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
                            SIGTERM with what there was saved (train, poses, refine, render, demo)";
@@ -87,7 +87,7 @@ pub(crate) enum Command {
     Split(SplitArgs),
     /// Put the splats of blocks together
     Merge(MergeArgs),
-    /// Make a finished splat of any trainer better: gradient steps and renewals
+    /// Make a finished splat of any trainer better: gradient steps, whose last states are averaged, or the genetic search
     Refine(RefineArgs),
     /// List what this machine can train on
     Devices,
@@ -100,6 +100,12 @@ pub(crate) struct InspectArgs {
     /// Folder of a scene or of a run, or a splat (.ply, compressed .ply, .splat, .spz, .sog or .glb)
     #[arg(value_name = "SCENE|SPLAT|RUN")]
     pub(crate) what: PathBuf,
+    /// Say what happens when in a training by this method
+    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS))]
+    pub(crate) method: Option<MethodName>,
+    /// Of so many steps [default: 30000]
+    #[arg(long, value_name = "N", requires = "method", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
+    pub(crate) iterations: Option<u32>,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
     #[command(flatten)]
@@ -122,9 +128,12 @@ pub(crate) struct DemoArgs {
     /// left there is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub(crate) out: PathBuf,
-    /// What the second run evolves with
-    #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION), default_value = "renew")]
-    pub(crate) evolve: EvolutionMode,
+    /// Method of the second run; the first is 3dgs
+    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS), default_value = "genesplat")]
+    pub(crate) method: MethodName,
+    /// Search after each opacity reset in the second run, as published
+    #[arg(long)]
+    pub(crate) genetic: bool,
     /// Seed of the scene and of both runs. Same seed, same bytes, with one build on
     /// CPUs of one kind
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(SEEDS))]
@@ -133,6 +142,8 @@ pub(crate) struct DemoArgs {
     pub(crate) machine: MachineArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
+    #[command(flatten)]
+    pub(crate) old: OldArgs,
 }
 
 /// What says nothing of two pictures.
@@ -224,12 +235,9 @@ pub(crate) struct RefineArgs {
     /// far is written
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Gradient steps, one photo each [default: 2000]; none with --evolve paper
+    /// Gradient steps, one photo each [default: 2000]; none with --genetic, which only searches
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) iterations: Option<u32>,
-    /// What is done to it [default: renew]
-    #[arg(long, value_name = "MODE", value_parser = choice(REFINEMENT))]
-    pub(crate) evolve: Option<EvolutionMode>,
     #[command(flatten)]
     pub(crate) search: SearchArgs,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes, with one build on
@@ -246,6 +254,8 @@ pub(crate) struct RefineArgs {
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
+    #[command(flatten)]
+    pub(crate) old: OldArgs,
 }
 
 /// Which viewpoints to render.

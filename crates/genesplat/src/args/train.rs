@@ -7,10 +7,9 @@ use clap::Args;
 use genesplat::flags::{LpipsArgs, MORE, MachineArgs, choice, scale};
 use genesplat::io::archive::is_zip;
 use genesplat::run::settings::Training;
-use genesplat::train::config::Signal;
-use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
+use genesplat::train::{Background, MethodConfig, MethodName, TrainConfig};
 
-use super::choice::{BACKGROUNDS, EVOLUTION, PRESETS, SIGNALS, VARIANTS};
+use super::choice::{BACKGROUNDS, METHODS, PRESETS};
 use super::{PhotosArgs, SEEDS, TrainPageArgs};
 
 #[derive(Debug, Args)]
@@ -32,9 +31,6 @@ pub(crate) struct TrainArgs {
     pub(crate) preset: Option<&'static str>,
     #[command(flatten)]
     pub(crate) schedule: ScheduleArgs,
-    /// Evolution beside gradient descent [default: renew]
-    #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION))]
-    pub(crate) evolve: Option<EvolutionMode>,
     #[command(flatten)]
     pub(crate) search: SearchArgs,
     #[command(flatten)]
@@ -53,7 +49,9 @@ pub(crate) struct TrainArgs {
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
     #[command(flatten)]
-    pub(crate) method: MethodArgs,
+    pub(crate) shown: ShownArgs,
+    #[command(flatten)]
+    pub(crate) old: OldArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
 }
@@ -85,20 +83,20 @@ impl TrainArgs {
         if self.preset.is_some() && self.schedule.iterations.is_some() && self.schedule.steps_scale.is_none() {
             train.steps_scale = 1.0;
         }
-        replace(&mut train.evolution.mode, self.evolve);
         self.search.override_config(train)?;
-        self.method.override_config(train)
+        self.shown.override_config(train);
+        Ok(())
     }
 }
 
 /// How long, and what kind of training.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct ScheduleArgs {
-    /// Method: the original, or one of four improvements on it [default: 3dgs]
-    #[arg(long, value_name = "METHOD", value_parser = choice(VARIANTS))]
-    variant: Option<Variant>,
+    /// Method [default: genesplat]
+    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS))]
+    method: Option<MethodName>,
     /// Training steps, one photo each [default: 30000]. More is slower and mostly better; with a few dozen photos 7000 may be
-    /// as good. With --evolve renew the whole schedule fits into them; published trainers are cut short
+    /// as good. The schedule of genesplat fits into them; those of published methods are cut short
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
     /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square root; makes
@@ -112,9 +110,9 @@ pub(crate) struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes, with one build on CPUs of one kind
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
-    /// Train at most this many Gaussians, from the first step on [default: the cloud grows to as many as the photos can
-    /// determine, and starting points are kept; without --evolve renew no limit, but 1000000 with mcmc and improved-gs, which
-    /// grow towards it on a curve of their own]. Bounds memory (2 to 4 KB a Gaussian) and time
+    /// Train at most this many Gaussians, from the first step on [default: with genesplat the cloud grows to as many as the
+    /// photos can determine, and starting points are kept; else no limit, but 1000000 with mcmc and improved-gs, which grow
+    /// towards it on a curve of their own]. Bounds memory (2 to 4 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
@@ -124,7 +122,10 @@ pub(crate) struct ScheduleArgs {
 
 impl ScheduleArgs {
     fn override_config(&self, train: &mut TrainConfig) {
-        replace(&mut train.variant, self.variant);
+        if let Some(name) = self.method.filter(|&name| name != train.method.name) {
+            // The settings of a file are those of its own method.
+            train.method = MethodConfig::of(name);
+        }
         replace(&mut train.iterations, self.iterations);
         replace(&mut train.steps_scale, self.steps_scale);
         replace(&mut train.views_per_step, self.views_per_step);
@@ -134,66 +135,92 @@ impl ScheduleArgs {
     }
 }
 
-/// How much of mode paper.
+/// The published search.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct SearchArgs {
-    /// Mode paper: generations of each search, at least 1 [default: 100]. Time grows in proportion
+    /// Search after each opacity reset with the genetic algorithm of "An Evolutionary Boost to Gaussian Splatting
+    /// Optimization", with any method that resets opacities
+    #[arg(long)]
+    pub(crate) genetic: bool,
+    /// Generations of each search, at least 1 [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = MORE)]
     pub(crate) generations: Option<u32>,
-    /// Mode paper: individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
+    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), help_heading = MORE)]
     pub(crate) population: Option<u32>,
 }
 
 impl SearchArgs {
-    /// Flags over the file, of another mode none. A tournament cannot draw more individuals than there are, so a small population
-    /// shrinks it.
+    /// Flags over the file; without a search there is nothing to change. A tournament cannot draw more individuals than there
+    /// are, so a small population shrinks it.
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
+        if self.genetic {
+            ensure!(
+                train.method.name.resets(),
+                "--genetic searches after opacity resets, and {} has none; choose another --method, or leave it out",
+                train.method.name
+            );
+            train.genetic.get_or_insert_default();
+        }
         let is_asked = self.generations.is_some() || self.population.is_some();
-        ensure!(
-            !is_asked || train.evolution.mode == EvolutionMode::Paper,
-            "--generations and --population are of --evolve paper; add that, or leave them out"
-        );
-        let paper = &mut train.evolution.paper;
-        replace(&mut paper.generations, self.generations);
+        let Some(genetic) = &mut train.genetic else {
+            ensure!(!is_asked, "--generations and --population are of --genetic; add that, or leave them out");
+            return Ok(());
+        };
+        replace(&mut genetic.generations, self.generations);
         if let Some(population) = self.population {
-            paper.population = population;
-            paper.tournament = paper.tournament.min(population);
+            genetic.population = population;
+            genetic.tournament = genetic.tournament.min(population);
         }
         Ok(())
     }
 }
 
-/// How Gaussians are shown, and what makes them grow: options that users of other trainers know.
+/// How Gaussians are shown: options that users of other trainers know.
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = MORE)]
-pub(crate) struct MethodArgs {
+pub(crate) struct ShownArgs {
     /// Colour behind the scene [default: black]. White suits objects cut out of their photos; random keeps them opaque
     #[arg(long, value_name = "COLOUR", value_parser = choice(BACKGROUNDS))]
     background: Option<Background>,
     /// Dim Gaussians smaller than a pixel instead of only widening them, so that views from afar do not swell.
-    /// Not with --variant mip-splatting, which has a filter of its own
+    /// Not with --method mip-splatting, which has a filter of its own
     #[arg(long)]
     antialiasing: bool,
-    /// Gradient that makes a Gaussian grow, for 3dgs and mip-splatting [default: published]
-    #[arg(long, value_name = "SIGNAL", value_parser = choice(SIGNALS))]
-    densify_signal: Option<Signal>,
 }
 
-impl MethodArgs {
-    fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
+impl ShownArgs {
+    fn override_config(&self, train: &mut TrainConfig) {
         replace(&mut train.background, self.background);
-        replace(&mut train.densify.signal, self.densify_signal);
         train.antialiasing |= self.antialiasing;
-        let variant = train.variant;
-        let has_own_signal = matches!(variant, Variant::PixelGs | Variant::Mcmc | Variant::ImprovedGs);
-        ensure!(
-            !has_own_signal || self.densify_signal.is_none_or(|signal| signal == Signal::Published),
-            "--densify-signal is for 3dgs and mip-splatting, and {variant} grows by a rule of its own; leave the flag out, or train \
-             another --variant"
-        );
-        Ok(())
     }
+}
+
+/// Flags of earlier versions, each with a sentence that names the new one.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct OldArgs {
+    #[arg(long, hide = true, value_parser = variant_is_method)]
+    variant: Option<String>,
+    #[arg(long, hide = true, value_parser = evolve_is_method)]
+    evolve: Option<String>,
+    #[arg(long, hide = true, value_parser = signal_is_gone)]
+    densify_signal: Option<String>,
+}
+
+fn variant_is_method(name: &str) -> Result<String, String> {
+    Err(format!("it is --method {name} now; --method genesplat is what mode renew was"))
+}
+
+fn evolve_is_method(mode: &str) -> Result<String, String> {
+    Err(match mode {
+        "paper" => "it is --genetic now, with any --method that resets opacities".into(),
+        "off" => "a published method has nothing beside it now: --method 3dgs, say".into(),
+        _ => "it is --method genesplat now, which is the default".into(),
+    })
+}
+
+fn signal_is_gone(_: &str) -> Result<String, String> {
+    Err("each method has its own signal now; --method improved-gs and genesplat take absolute gradients".into())
 }
 
 fn replace<T>(setting: &mut T, flag: Option<T>) {

@@ -1,4 +1,4 @@
-//! `genesplat demo`: the bundled scene, trained without and with evolution.
+//! `genesplat demo`: the bundled scene, trained by the published method and by another, ours unless told otherwise.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
 //! resets opacities and evolves as often as a full run does.
@@ -25,9 +25,9 @@ use genesplat::run::{CLOUD, TEST};
 use genesplat::run::{device, files, lpips, scene};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
-use genesplat::train::{EvolutionMode, TrainConfig};
+use genesplat::train::{MethodName, TrainConfig};
 
-use crate::args::DemoArgs;
+use crate::args::{DemoArgs, SearchArgs};
 
 /// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
@@ -43,9 +43,13 @@ const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
 
 pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
-    let halves = [("without", EvolutionMode::Off), ("with", args.evolve)];
+    let halves = [(MethodName::ThreeDgs, false), (args.method, args.genetic)];
+    ensure!(
+        halves[0] != halves[1],
+        "the demo compares 3dgs with another method; choose another --method, or add --genetic"
+    );
     let mut halves: Vec<Half> =
-        halves.into_iter().map(|(name, mode)| Half::new(args, name, mode)).collect::<Result<_>>()?;
+        halves.into_iter().map(|(method, genetic)| Half::new(args, method, genetic)).collect::<Result<_>>()?;
     check_gallery(&args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
@@ -53,7 +57,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
     let mut results = Vec::new();
     for half in &mut halves {
-        output::tell(&format!("\ntraining {} evolution", half.name));
+        output::tell(&format!("\ntraining {}", half.name));
         let Some(metrics) = half.train(&scene, lpips.as_ref(), &stop)? else {
             output::print("stopped; the demo cannot go on from here, so run it again")?;
             return Ok(Ending::Stopped);
@@ -76,7 +80,7 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     let [picture, page] = [PICTURE, PAGE].map(|name| args.out.join(name));
     write_png(&picture, &sheet)?;
     let sides = [0, 1].map(|index| Side {
-        name: halves[index].name,
+        name: &halves[index].name,
         metrics: &results[index],
         folder: halves[index].session.path(),
         render: &renders[index],
@@ -84,10 +88,12 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     files::write_text(&page, &pair::to_html(&scene.name, &sides, name, &sheet, &this_command("genesplat"))?)?;
     output::print(&format!(
         "open     {}  (both runs side by side, in a browser)\n\
-         picture  {}  (where evolution changed most: photo, without, with)\n\
+         picture  {}  (where they differ most: photo, {}, {})\n\
          splat    {}  (opens in any viewer of 3D Gaussian splats, as https://superspl.at/editor)",
         shown(page),
         shown(picture),
+        halves[0].name,
+        halves[1].name,
         shown(halves[1].session.path().join(CLOUD)),
     ))
 }
@@ -131,20 +137,23 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
 }
 
 struct Half {
-    name: &'static str,
+    /// Of its folder, too.
+    name: String,
     settings: Settings,
     session: RunSession,
 }
 
 impl Half {
     /// Claims its folder; an earlier demo's results stay there until scene and weights are loaded.
-    fn new(args: &DemoArgs, name: &'static str, mode: EvolutionMode) -> Result<Self> {
-        let session = RunSession::claim(&args.out.join(name), Caller::Demo, false)?;
-        let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::default() };
+    fn new(args: &DemoArgs, method: MethodName, genetic: bool) -> Result<Self> {
+        let name = format!("{method}{}", if genetic { "-genetic" } else { "" });
+        let session = RunSession::claim(&args.out.join(&name), Caller::Demo, false)?;
+        let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::of(method) };
         train.max_gaussians = Some(MAX_GAUSSIANS);
-        train.evolution.mode = mode;
-        train.evolution.paper.generations = GENERATIONS;
-        train.evolution.paper.population = POPULATION;
+        let (generations, population) = (Some(GENERATIONS), Some(POPULATION));
+        if genetic {
+            SearchArgs { genetic, generations, population }.override_config(&mut train)?;
+        }
         let settings = ConfigFile::of_scene(gallery_in(&args.out), train).resolve(args.machine.into())?;
         Ok(Self { name, settings, session })
     }
@@ -167,11 +176,12 @@ impl Half {
     }
 }
 
-/// What both runs have reached, and what evolution changed; a row is left out where it was not measured.
+/// What both runs have reached, and the difference; a row is left out where it was not measured.
 fn table(without: &Metrics, with: &Metrics) -> String {
     let line =
         |name: &str, [before, after, change]: [&str; 3]| format!("{name:<18} {before:>12} {after:>16} {change:>12}\n");
-    let mut text = line("", ["without", "with evolution", "difference"]);
+    let names = [without, with].map(|run| format!("{}{}", run.method, if run.genetic { "-genetic" } else { "" }));
+    let mut text = line("", [&names[0], &names[1], "difference"]);
     for ((name, digits, before), (_, _, after)) in figures(without).into_iter().zip(figures(with)) {
         let (Some(before), Some(after)) = (before, after) else { continue };
         let shown = |value: f64| match digits {
@@ -206,10 +216,8 @@ fn most_changed(without: &Metrics, with: &Metrics) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use genesplat::metrics::Evaluation;
-    use genesplat::train::Variant;
-
     use super::*;
+    use genesplat::metrics::Evaluation;
     use genesplat::run::metrics::PhaseSeconds;
 
     #[test]
@@ -238,10 +246,10 @@ mod tests {
     fn metrics(psnr: f64, gaussians: usize) -> Metrics {
         let scores = |psnr| Evaluation { psnr, ssim: 0.5, lpips: None, views: Vec::new() };
         Metrics {
-            schema: 1,
+            schema: 2,
             dataset: "gallery".into(),
-            variant: Variant::ThreeDgs,
-            evolve: EvolutionMode::Off,
+            method: MethodName::ThreeDgs,
+            genetic: false,
             seed: 0,
             iterations: 9,
             gaussians,
@@ -254,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_says_what_evolution_changed_and_leaves_out_what_was_not_measured() {
+    fn the_table_says_what_differs_and_leaves_out_what_was_not_measured() {
         let text = table(&metrics(30.25, 35_000), &metrics(31.02, 28_400));
         let cells = |name: &str| -> Vec<String> {
             let line = text.lines().find(|line| line.starts_with(name)).expect(name);

@@ -6,6 +6,7 @@ use genesplat::io::{Format, shown};
 use genesplat::run::session::is_run;
 use genesplat::run::settings::Dataset;
 use genesplat::terminal::output;
+use genesplat::train::TrainConfig;
 
 use crate::args::{InspectArgs, PhotosArgs};
 use crate::inspect::{inspect_run, inspect_scene, inspect_splat};
@@ -20,11 +21,22 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
         "{} is no scene, so no photos are looked at; leave out the options that are about photos",
         shown(what)
     );
+    ensure!(
+        args.method.is_none() || !(is_splat || is_run(what)),
+        "{} is no scene, so nothing is to be trained; leave --method out",
+        shown(what)
+    );
     let report = match () {
         () if is_splat => inspect_splat(what)?,
         () if is_run(what) => inspect_run(what)?,
-        () => inspect_scene(&Dataset::of(what, &args.photos.asked()?))?,
+        () => inspect_scene(&Dataset::of(what, &args.photos.asked()?), &config_of(args))?,
     };
     output::print(&report.to_text())?;
     args.json.write(&report)
+}
+
+/// What a training is taken to be.
+fn config_of(args: &InspectArgs) -> TrainConfig {
+    let usual = TrainConfig::of(args.method.unwrap_or_default());
+    TrainConfig { iterations: args.iterations.unwrap_or(usual.iterations), ..usual }
 }

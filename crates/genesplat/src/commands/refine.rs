@@ -1,5 +1,5 @@
-//! `genesplat refine`: makes a splat of any trainer better, by gradient steps and renewals, or by the paper's search
-//! alone.
+//! `genesplat refine`: makes a splat of any trainer better, by gradient steps whose last states are averaged, or by the
+//! genetic search alone.
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter};
@@ -15,7 +15,7 @@ use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
-use genesplat::train::{Background, EvolutionMode, Outcome, Schedule, Start, TrainConfig, Variant, search, train};
+use genesplat::train::{Background, MethodConfig, MethodName, Outcome, Schedule, Start, TrainConfig, search, train};
 use toml::Table;
 
 use crate::args::RefineArgs;
@@ -37,7 +37,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     device.upload(splat.cloud.clone().into())?;
     print_scores("before", &mut device, &scene, &splat.settings)?;
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
-    let outcome: Outcome = if schedule.config().evolution.mode == EvolutionMode::Paper {
+    let outcome: Outcome = if schedule.config().genetic.is_some() {
         search(device.as_mut(), views, splat.cloud, &schedule, &mut reporter, &stop)?
     } else {
         train(device.as_mut(), views, Start::Cloud(splat.cloud), &schedule, &mut reporter, &stop)?
@@ -68,46 +68,43 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Schedule> {
         None => TrainConfig { iterations: ITERATIONS, ..TrainConfig::default() },
     };
     let scaled = train.clone().resolve()?.iterations;
-    finish_schedule(&mut train);
     // There is no folder to keep them in.
     train.checkpoint_every = 0;
     train.sh_degree = splat.settings.sh_degree;
     (train.iterations, train.steps_scale) = (args.iterations.unwrap_or(scaled), 1.0);
     train.seed = args.seed.unwrap_or(train.seed);
-    train.evolution.mode = args.evolve.unwrap_or(train.evolution.mode);
-    args.search.override_config(&mut train)?;
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
         train.background = Background::White;
     }
     train.background = args.on.background.unwrap_or(train.background);
-    train.variant = match (splat.settings.filter, &splat.cloud.filter_3d) {
-        (ScreenFilter::Classic | ScreenFilter::Antialiased, _) => Variant::ThreeDgs,
-        (ScreenFilter::Mip, Some(_)) => Variant::MipSplatting,
+    let method = match (splat.settings.filter, &splat.cloud.filter_3d) {
+        (ScreenFilter::Classic | ScreenFilter::Antialiased, _) => MethodName::ThreeDgs,
+        (ScreenFilter::Mip, Some(_)) => MethodName::MipSplatting,
         _ => bail!(
             "{} is a Mip-Splatting cloud whose 3D filter was baked in; refine the cloud that training wrote",
             shown(&args.splat)
         ),
     };
+    train.method = finishing(method, train.method);
+    args.search.override_config(&mut train)?;
     Ok(train.resolve()?)
 }
 
 /// Fails where something that is asked for cannot be, or would not count.
 fn check(args: &RefineArgs, train: &TrainConfig) -> Result<()> {
     ensure!(
-        args.iterations.is_none() || train.evolution.mode != EvolutionMode::Paper,
-        "--iterations counts gradient steps, and the paper's search makes none; give --generations instead"
+        args.iterations.is_none() || train.genetic.is_none(),
+        "--iterations counts gradient steps, and the genetic search makes none; give --generations instead"
     );
     Ok(())
 }
 
-/// A finished splat goes on where training ends: positions at their last rate, no density control but renewals, no
-/// resets.
-fn finish_schedule(train: &mut TrainConfig) {
-    train.evolution.renewal.selection = false;
-    let [_, end] = train.position_rates().map(Some);
-    (train.optimiser.position_start, train.optimiser.position_end) = (end, end);
-    train.densify.until = 0;
+/// A finished splat goes on where training ends: positions at their last rate, neither density control nor resets, and the
+/// mean of the last states. A file's rates count where it is of the same method.
+fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
+    let usual = if given.name == name { given } else { MethodConfig::of(name) };
+    MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }
 }
 
 fn print_scores(when: &str, device: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {

@@ -127,8 +127,8 @@ fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
         "ranks of mpirun train on processors; leave --device gpu out"
     );
     ensure!(
-        !matches!(train.evolution.extra_steps, Some(StepBudget::Seconds(_))),
-        "ranks do not agree on seconds; give evolution.extra_steps a number of steps"
+        !matches!(train.extra_steps, Some(StepBudget::Seconds(_))),
+        "ranks do not agree on seconds; give extra_steps a number of steps"
     );
     Ok(())
 }

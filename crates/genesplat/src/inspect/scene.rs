@@ -6,8 +6,8 @@ use genesplat::io::{Scene, ScenePhoto, list_scene, plural};
 use genesplat::run::numbers::{memory, thousands, time_left};
 use genesplat::run::scene;
 use genesplat::run::settings::Dataset;
-use genesplat::train::TrainConfig;
 use genesplat::train::scene::initialise::scene_extent;
+use genesplat::train::{Schedule, TrainConfig};
 
 use super::cameras::{PointsSeen, points_seen};
 use super::cost::{Cost, estimate};
@@ -16,8 +16,8 @@ use super::{Fact, Report, cameras, photos};
 /// Iterations of a quick run, whose time is said beside that of the run that no flag changes.
 const QUICK: u32 = 7000;
 
-pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
-    let settings = TrainConfig::default().resolve()?;
+pub(crate) fn inspect_scene(dataset: &Dataset, config: &TrainConfig) -> Result<Report> {
+    let settings = config.clone().resolve()?;
     let scene = scene::load_to_inspect(dataset, settings.config().seed)?;
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
     let seen = points_seen(&views, &scene.points);
@@ -28,7 +28,8 @@ pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let notices = scene.notices.clone();
     let warnings =
         [Vec::from_iter(no_extent), notices, cameras::warnings(&views, &seen), photos::warnings(&views)?].concat();
-    facts.extend(expected(&estimate(&scene, &settings)?, settings.config().iterations));
+    facts.extend(expected(&estimate(&scene, &settings)?, settings.iterations));
+    facts.push(timeline(&settings, scene.train.len()));
     Ok(Report { kind: "scene", facts, warnings })
 }
 
@@ -104,6 +105,18 @@ fn lenses(photos: &[ScenePhoto]) -> [Fact; 2] {
         Fact::new("cameras", cameras.len(), format!("{} {different}", thousands(cameras.len()))),
         Fact::new("lens", bend_px.map_or(serde_json::Value::Null, Into::into), shown),
     ]
+}
+
+/// What happens when, a line for each event.
+fn timeline(settings: &Schedule, photos: usize) -> Fact {
+    let lines = settings.lines(photos);
+    let name = settings.config().method.name;
+    let shown = lines.iter().map(|line| format!("\n  {line}")).collect::<String>();
+    Fact::new(
+        "timeline",
+        lines,
+        format!("of --method {name}, {} steps:{shown}", thousands(settings.iterations as usize)),
+    )
 }
 
 fn expected(cost: &Cost, iterations: u32) -> [Fact; 3] {

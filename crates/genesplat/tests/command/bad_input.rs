@@ -298,7 +298,10 @@ fn configurations_that_are_wrong() {
         ("[dataset]\nmax_side = 64\ndownscale = 2", &["max_side and downscale", "keep one"]),
         ("iterations = 'many'", &["c.toml", "iterations"]),
         ("iterations = ", &["c.toml"]),
-        ("[densify]\nevery = 0", &["densify.every", "at least 1"]),
+        ("method = { name = '3dgs', densify_every = 0 }", &["method.densify_every", "at least 1"]),
+        ("method = { noise = 1.0 }", &["`noise` is no setting of genesplat", "mcmc"]),
+        ("variant = 'mcmc'", &["`variant` is of an earlier version", "[method]"]),
+        ("[evolution]\nmode = 'renew'", &["`evolution` is of an earlier version", "genesplat"]),
         ("[dataset]\nside = 3", &["c.toml", "side"]),
         ("[dataset]\nhold_out = { every = 1 }", &["hold_out.every is 1", "from 2"]),
         ("[dataset]\nhold_out = 'some'", &["c.toml", "some", "every-eighth"]),
@@ -314,9 +317,22 @@ fn configurations_that_are_wrong() {
 fn flags_that_do_not_go_together() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    for variant in ["pixel-gs", "mcmc", "improved-gs"] {
-        let flags = ["--densify-signal", "absolute", "--variant", variant];
-        fail(train(scene(), &out, &flags), &["--densify-signal", variant, "leave the flag out"]);
+    fail(train(scene(), &out, &["--method", "mcmc", "--genetic"]), &["--genetic", "mcmc", "leave it out"]);
+    fail(train(scene(), &out, &["--generations", "3"]), &["--generations", "--genetic"]);
+}
+
+#[test]
+fn flags_of_earlier_versions_name_the_new_ones() {
+    for (old, new) in [
+        (&["--variant", "mcmc"][..], "--method mcmc"),
+        (&["--evolve", "renew"], "--method genesplat"),
+        (&["--evolve", "paper"], "--genetic"),
+        (&["--evolve", "off"], "--method 3dgs"),
+        (&["--densify-signal", "absgrad"], "its own signal"),
+    ] {
+        let refused = run([&["train", "x", "--out", "y"], old].concat());
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(refused.status.code() == Some(2) && said.contains(new), "{old:?}: {said}");
     }
 }
 
@@ -342,8 +358,8 @@ fn wrong_usage_has_status_2() {
         &["train"][..],
         &["train", "x", "--out", "y", "--iterations", "0"],
         &["train", "x", "--out", "y", "--steps-scale", "0"],
-        &["train", "x", "--out", "y", "--evolve", "sometimes"],
-        &["train", "x", "--out", "y", "--evolve", "paper", "--generations", "0"],
+        &["train", "x", "--out", "y", "--method", "2dgs"],
+        &["train", "x", "--out", "y", "--genetic", "--generations", "0"],
         &["refine", "x", "--data", "y", "--out", "z", "--generations", "0"],
         &["convert", "x", "y.ply", "--max-side", "100"],
         &["convert", "x", "y.ply", "--background", "white"],

@@ -15,7 +15,7 @@ use crate::support::{fail, scene, succeed, text};
 
 /// Photos of the street, px.
 const SIZE: [u32; 2] = [24, 96];
-const QUICK: &str = "--iterations 3 --evolve off --device cpu --no-lpips";
+const QUICK: &str = "--iterations 3 --method 3dgs --device cpu --no-lpips";
 
 fn photo(x: usize) -> String {
     format!("p{x:02}.png")

@@ -148,7 +148,7 @@ fn both_versions_of_spz_are_written() {
 fn what_a_format_has_no_place_for_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let mip = folder.path().join("mip");
-    let train = train(scene(), &mip, &["--iterations", "30", "--variant", "mip-splatting", "--no-lpips"]);
+    let train = train(scene(), &mip, &["--iterations", "30", "--method", "mip-splatting", "--no-lpips"]);
     succeed(train);
     let notices = |out: &str| {
         let output = run(["convert", text(&mip), text(&folder.path().join(out))]);

@@ -7,13 +7,14 @@ use genesplat::io::photos::{read_photo, write_png};
 use crate::support::{cloud, copy_scene, json, number, scene, succeed, text, train};
 
 /// Densifies, resets opacities, and evolves after each reset.
-const SCHEDULE: [&str; 10] = [
+const SCHEDULE: [&str; 11] = [
+    "--method",
+    "3dgs",
     "--steps-scale",
     "0.02",
     "--max-gaussians",
     "1200",
-    "--evolve",
-    "paper",
+    "--genetic",
     "--generations",
     "3",
     "--population",
@@ -36,69 +37,54 @@ fn threads_change_nothing_and_seeds_do() {
     assert!(one != run("other", &["--threads", "7", "--seed", "4"]).0, "another seed");
 }
 
-/// What the other variants have of their own: pixel counts, a 3D filter, noise and relocation.
+/// What the methods have of their own: pixel counts, a 3D filter, noise and relocation.
 #[test]
-fn threads_change_nothing_in_other_variants_either() {
+fn threads_change_nothing_in_other_methods_either() {
     let folder = tempfile::tempdir().unwrap();
-    for variant in ["pixel-gs", "mip-splatting", "mcmc", "improved-gs"] {
+    for method in ["pixel-gs", "mip-splatting", "mcmc", "improved-gs"] {
         let run = |threads: &str| {
-            let out = folder.path().join(variant).join(threads);
-            let flags = ["--variant", variant, "--steps-scale", "0.01", "--max-gaussians", "600"];
+            let out = folder.path().join(method).join(threads);
+            let flags = ["--method", method, "--steps-scale", "0.01", "--max-gaussians", "600"];
             succeed(train(scene(), &out, &[&flags[..], &["--no-lpips", "--threads", threads]].concat()));
             (cloud(&out), json(&out.join("metrics.json")))
         };
         let (one, metrics) = run("1");
-        assert!(metrics["gaussians"].as_u64() > Some(300), "{variant}: density control took part: {metrics}");
-        assert!(one == run("7").0, "{variant}: seven threads");
+        assert!(metrics["gaussians"].as_u64() > Some(300), "{method}: density control took part: {metrics}");
+        assert!(one == run("7").0, "{method}: seven threads");
     }
 }
 
-/// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must choose at any; so must
-/// contributions.
+/// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must choose at any.
 #[test]
-fn threads_change_nothing_in_selection_renewals_and_averages_either() {
+fn threads_change_nothing_in_selection_and_averages_either() {
     let folder = tempfile::tempdir().unwrap();
-    // 3DGS grows by selection, Pixel-GS has renewals.
-    for (variant, renewals, averages) in [("3dgs", 0, 1), ("pixel-gs", 6, 10)] {
-        let run = |threads: &str| {
-            let out = folder.path().join(variant).join(threads);
-            let flags =
-                ["--steps-scale", "0.02", "--max-gaussians", "1200", "--variant", variant, "--threads", threads];
-            succeed(train(scene(), &out, &flags));
-            (cloud(&out), json(&out.join("metrics.json")))
-        };
-        let (one, metrics) = run("1");
-        let stages = metrics["evolution"].as_array().unwrap();
-        let of_kind = |kind| stages.iter().filter(|stage| stage["kind"] == kind).collect::<Vec<_>>();
-        let (renewed, averaged) = (of_kind("renewal"), of_kind("averaging"));
-        assert_eq!((renewed.len(), averaged.len()), (renewals, averages));
-        let took_part = |stage: &&serde_json::Value| stage["changed"].as_u64() > Some(0);
-        assert!(averaged.iter().all(took_part), "{averaged:?}");
-        assert_eq!(renewed.iter().any(took_part), renewals > 0, "{renewed:?}");
-        let rises = |stage: &&serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
-        assert!(renewed.iter().all(rises), "{renewed:?}");
-        assert!(one == run("7").0, "{variant}, seven threads");
-    }
+    let run = |threads: &str| {
+        let out = folder.path().join(threads);
+        let flags = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--threads", threads];
+        succeed(train(scene(), &out, &flags));
+        (cloud(&out), json(&out.join("metrics.json")))
+    };
+    let (one, metrics) = run("1");
+    let stages = metrics["evolution"].as_array().unwrap();
+    let took_part = |stage: &serde_json::Value| stage["kind"] == "averaging" && stage["changed"].as_u64() > Some(0);
+    assert!(stages.len() == 1 && took_part(&stages[0]), "{stages:?}");
+    assert!(one == run("7").0, "seven threads");
 }
 
-/// They judge, and decide nothing: not what grows, nor what is renewed or averaged.
+/// They judge, and decide nothing: not what grows, nor what is averaged.
 #[test]
 fn held_out_photos_change_no_byte_of_the_splat() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene");
     copy_scene(&scene);
-    // 3DGS grows by selection, Pixel-GS has renewals; both have averages.
-    let run = |variant: &str, out: &str| {
+    let run = |method: &str, out: &str| {
         let out = folder.path().join(out);
-        let flags = ["--steps-scale", "0.02", "--max-gaussians", "600", "--variant", variant];
+        let flags = ["--steps-scale", "0.02", "--max-gaussians", "600", "--method", method];
         succeed(train(&scene, &out, &flags));
         (cloud(&out), json(&out.join("metrics.json")))
     };
     let psnr = |metrics: &serde_json::Value| number(&metrics["test"]["psnr"]);
-    let before = ["3dgs", "pixel-gs"].map(|variant| (variant, run(variant, variant)));
-    let renewed = |stage: &&serde_json::Value| stage["kind"] == "renewal" && stage["changed"].as_u64() > Some(0);
-    let stages = before[1].1.1["evolution"].as_array().unwrap();
-    assert!(stages.iter().any(|stage| renewed(&stage)), "renewals took part: {stages:?}");
+    let before = ["genesplat", "3dgs"].map(|method| (method, run(method, method)));
     let spoil = |name: &str| {
         let path = scene.join("images").join(name);
         let photo = read_photo(&path).unwrap();
@@ -107,19 +93,19 @@ fn held_out_photos_change_no_byte_of_the_splat() {
     };
     spoil("gallery_000.png");
     spoil("gallery_008.png");
-    for (variant, (before, metrics)) in &before {
-        let (after, lower) = run(variant, &format!("{variant}-after"));
-        assert!(*before == after && psnr(&lower) < psnr(metrics) - 5.0, "{variant}: {metrics}, {lower}");
+    for (method, (before, metrics)) in &before {
+        let (after, lower) = run(method, &format!("{method}-after"));
+        assert!(*before == after && psnr(&lower) < psnr(metrics) - 5.0, "{method}: {metrics}, {lower}");
     }
     spoil("gallery_001.png");
-    assert!(before[0].1.0 != run("3dgs", "trained-on-another").0, "a photo of training changes it");
+    assert!(before[0].1.0 != run("genesplat", "trained-on-another").0, "a photo of training changes it");
 }
 
 #[test]
 fn a_saved_configuration_repeats_its_run_and_flags_win_over_it() {
     let folder = tempfile::tempdir().unwrap();
     let [first, again, other] = ["first", "again", "other"].map(|name| folder.path().join(name));
-    let flags = ["--iterations", "40", "--seed", "9", "--max-side", "40", "--variant", "mip-splatting"];
+    let flags = ["--iterations", "40", "--seed", "9", "--max-side", "40", "--method", "mip-splatting"];
     succeed(train(scene(), &first, &flags));
     let config = first.join("config.toml");
     succeed(train(scene(), &again, &["--config", text(&config)]));
@@ -129,5 +115,5 @@ fn a_saved_configuration_repeats_its_run_and_flags_win_over_it() {
     succeed(train(scene(), &other, &["--config", text(&config), "--seed", "10", "--iterations", "20"]));
     let metrics = json(&other.join("metrics.json"));
     assert_eq!((&metrics["seed"], &metrics["iterations"]), (&10.into(), &20.into()));
-    assert_eq!(metrics["variant"], "mip-splatting");
+    assert_eq!(metrics["method"], "mip-splatting");
 }

@@ -48,7 +48,7 @@ impl Growing {
     const POINTS: u32 = 2000;
     /// 150 steps; it grows after 100.
     const SCHEDULE: [&str; 5] =
-        ["--iterations=15000", "--steps-scale=0.01", "--max-gaussians=20000", "--checkpoint-every=0", "--evolve=off"];
+        ["--iterations=15000", "--steps-scale=0.01", "--max-gaussians=20000", "--checkpoint-every=0", "--method=3dgs"];
 
     fn new(place: &Path) -> Self {
         let this = Self { scene: place.join("scene"), whole: place.join("whole") };

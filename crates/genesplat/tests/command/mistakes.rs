@@ -254,7 +254,7 @@ fn what_was_given_is_not_quite_a_scene() {
         (
             |place| {
                 place.write("run/point_cloud_fused.ply", "theirs");
-                place.trains("scene", &["--variant", "mip-splatting"])
+                place.trains("scene", &["--method", "mip-splatting"])
             },
             Says(&["point_cloud_fused.ply belongs to something else"]),
         ),

@@ -35,8 +35,8 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
     let photo = own_scene.join("images/gallery_000.png");
     fs::copy(&photo, at("picture.png")).unwrap();
     fs::write(at("transforms.json"), "{}").unwrap();
-    fs::create_dir_all(at("demo/without")).unwrap();
-    fs::write(at("demo/without/transforms.json"), "{}").unwrap();
+    fs::create_dir_all(at("demo/3dgs")).unwrap();
+    fs::write(at("demo/3dgs/transforms.json"), "{}").unwrap();
     let before = files(place.path());
 
     // The scene is absent, and would be missed first if it were read.

@@ -12,13 +12,14 @@ use genesplat::gallery::{self, GalleryOptions};
 use crate::support::{cloud, command, copy_scene, fail, json, judge_failure, scene, succeed, text, train};
 
 /// Long enough to be caught in the act; evolves four times.
-const SCHEDULE: [&str; 10] = [
+const SCHEDULE: [&str; 11] = [
+    "--method",
+    "3dgs",
     "--steps-scale",
     "0.04",
     "--max-gaussians",
     "1200",
-    "--evolve",
-    "paper",
+    "--genetic",
     "--generations",
     "2",
     "--population",
@@ -197,7 +198,7 @@ fn a_search_that_is_stopped_says_so_and_writes_what_it_has() {
     let [run, out] = ["run", "refined.ply"].map(|name| folder.path().join(name));
     succeed(train(scene(), &run, &["--iterations", "3"]));
     let arguments = ["refine", text(&run), "--data", text(scene()), "--out", text(&out)];
-    let search = ["--evolve", "paper", "--generations", "100000"];
+    let search = ["--genetic", "--generations", "100000"];
     let mut child =
         command(arguments.iter().chain(&search)).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut stdout = BufReader::new(child.stdout.take().unwrap());

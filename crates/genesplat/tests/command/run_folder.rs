@@ -26,15 +26,15 @@ fn a_run_folder_is_complete() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("deep/run");
     let schedule = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--seed", "11"];
-    let evolution = ["--evolve", "paper", "--generations", "2", "--population", "6"];
+    let evolution = ["--method", "3dgs", "--genetic", "--generations", "2", "--population", "6"];
     let said = succeed(train(scene(), &out, &[&schedule[..], &evolution].concat()));
     assert!(said.contains("test") && said.contains("PSNR") && said.contains("point_cloud.ply"), "{said}");
 
     let metrics = json(&out.join("metrics.json"));
-    let top = ["schema", "dataset", "variant", "evolve", "seed", "iterations", "gaussians", "test", "train", "seconds"];
+    let top = ["schema", "dataset", "method", "genetic", "seed", "iterations", "gaussians", "test", "train", "seconds"];
     assert_keys(&metrics, &[&top[..], &["peak_memory_bytes", "evolution"]].concat());
-    assert_eq!((&metrics["schema"], &metrics["seed"], &metrics["iterations"]), (&1.into(), &11.into(), &600.into()));
-    assert_eq!((&metrics["variant"], &metrics["evolve"]), (&"3dgs".into(), &"paper".into()));
+    assert_eq!((&metrics["schema"], &metrics["seed"], &metrics["iterations"]), (&2.into(), &11.into(), &600.into()));
+    assert_eq!((&metrics["method"], &metrics["genetic"]), (&"3dgs".into(), &true.into()));
     for (split, photos) in [("test", 2), ("train", 10)] {
         let scores = &metrics[split];
         assert_keys(scores, &["psnr", "ssim", "lpips", "views"]);
@@ -93,7 +93,7 @@ fn results_are_never_written_over() {
 fn a_run_that_failed_may_be_begun_again_in_its_folder() {
     let folder = tempfile::tempdir().unwrap();
     let (out, config) = (folder.path().join("run"), folder.path().join("bad.toml"));
-    let bad = "iterations = 60\ndensify = { from = 1, every = 2, reset_every = 30, prune_opacity = 0.2, reset_opacity = 0.3 }";
+    let bad = "iterations = 3000\nsteps_scale = 0.02\nmethod = { name = \"3dgs\", densify_every = 2, reset_every = 30, prune_size = 1e-9 }";
     std::fs::write(&config, bad).unwrap();
     for _ in 0..2 {
         fail(train(scene(), &out, &["--config", text(&config)]), &["every Gaussian was pruned"]);
@@ -145,24 +145,24 @@ fn a_mistake_leaves_no_folder() {
 fn options_of_the_methods_reach_the_run_and_its_splat() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let options = ["--background", "white", "--antialiasing", "--densify-signal", "absgrad", "--iterations", "30"];
+    let options = ["--background", "white", "--antialiasing", "--iterations", "30"];
     succeed(train(scene(), &out, &options));
     let config: toml::Table = std::fs::read_to_string(out.join("config.toml")).unwrap().parse().unwrap();
     assert_eq!((config["background"].as_str(), config["antialiasing"].as_bool()), (Some("white"), Some(true)));
-    assert_eq!(config["densify"]["signal"].as_str(), Some("absolute"));
+    assert_eq!(config["method"]["name"].as_str(), Some("genesplat"));
     assert!(!out.join("point_cloud_fused.ply").exists());
     // The splat alone says how it is to be rendered; only its background is not in it.
     let (header, _) = read_ply_with_header(&out.join("point_cloud.ply")).unwrap();
     assert_eq!(header.screen_filter, Some(ScreenFilter::Antialiased));
 
     let refined = folder.path().join("refined.ply");
-    let search = ["--evolve", "paper", "--generations", "1", "--population", "2"];
+    let search = ["--genetic", "--generations", "1", "--population", "2"];
     let files = ["refine", text(&out), "--data", text(scene()), "--out", text(&refined)];
     let said = succeed(files.iter().chain(&search));
     let psnr = json(&out.join("metrics.json"))["test"]["psnr"].as_f64().unwrap();
     assert!(said.contains(&format!("before test   PSNR {psnr:.2}")), "white and antialiased, too: {said}");
 
-    let wrong = ["--variant", "mip-splatting", "--antialiasing"];
+    let wrong = ["--method", "mip-splatting", "--antialiasing"];
     fail(train(scene(), &folder.path().join("wrong"), &wrong), &["antialiasing is true", "mip-splatting"]);
 }
 
@@ -170,7 +170,7 @@ fn options_of_the_methods_reach_the_run_and_its_splat() {
 fn mip_splatting_leaves_a_splat_for_any_viewer() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    succeed(train(scene(), &out, &["--variant", "mip-splatting", "--iterations", "30"]));
+    succeed(train(scene(), &out, &["--method", "mip-splatting", "--iterations", "30"]));
     let [own, fused] = ["point_cloud.ply", "point_cloud_fused.ply"].map(|name| {
         let scores = folder.path().join(name).with_extension("json");
         let files = [text(&out.join(name)).to_owned(), "--data".into(), text(scene()).to_owned()];
@@ -192,9 +192,9 @@ fn mip_splatting_leaves_a_splat_for_any_viewer() {
 fn mcmc_grows_to_its_limit_and_no_further() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    succeed(train(scene(), &out, &["--variant", "mcmc", "--steps-scale", "0.05", "--max-gaussians", "400"]));
+    succeed(train(scene(), &out, &["--method", "mcmc", "--steps-scale", "0.05", "--max-gaussians", "400"]));
     let metrics = json(&out.join("metrics.json"));
-    assert_eq!((&metrics["variant"], &metrics["gaussians"]), (&"mcmc".into(), &400.into()));
+    assert_eq!((&metrics["method"], &metrics["gaussians"]), (&"mcmc".into(), &400.into()));
     assert!(number(&metrics["test"]["psnr"]) > 15.0, "{metrics}");
 }
 

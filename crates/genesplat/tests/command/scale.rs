@@ -32,7 +32,7 @@ fn psnr_at(place: &Path, exponent: i32, more: &[&str]) -> f64 {
 #[test]
 fn a_scene_of_any_size_trains_as_well() {
     let place = tempfile::tempdir().unwrap();
-    for (more, exponents) in [(&[][..], &[-3, -2, 2, 3][..]), (&["--variant", "mcmc"], &[-2, 3])] {
+    for (more, exponents) in [(&[][..], &[-3, -2, 2, 3][..]), (&["--method", "mcmc"], &[-2, 3])] {
         let usual = psnr_at(place.path(), 0, more);
         assert!(usual > 16.0, "{usual} {more:?}");
         for &exponent in exponents {

@@ -188,7 +188,7 @@ fn the_papers_search_makes_no_gradient_step_and_keeps_colours() {
     let folder = tempfile::tempdir().unwrap();
     let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.ply"));
     let before = genesplat::io::read_ply(&ply).unwrap();
-    let small = ["--evolve", "paper", "--generations", "4", "--population", "10", "--max-side", "56"];
+    let small = ["--genetic", "--generations", "4", "--population", "10", "--max-side", "56"];
     let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
     let said = succeed(arguments.iter().chain(&small));
     assert!(said.contains("before") && said.contains("after"), "{said}");
@@ -201,10 +201,9 @@ fn the_papers_search_makes_no_gradient_step_and_keeps_colours() {
 fn settings_of_a_run_refine_too_and_the_file_is_scored() {
     let folder = tempfile::tempdir().unwrap();
     let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.splat"));
-    for mode in ["off", "renew"] {
+    for method in ["3dgs", "genesplat"] {
         let config = folder.path().join("config.toml");
-        std::fs::write(&config, format!("iterations = 300\nsteps_scale = 0.1\n[evolution]\nmode = \"{mode}\""))
-            .unwrap();
+        std::fs::write(&config, format!("iterations = 300\nsteps_scale = 0.1\nmethod = \"{method}\"")).unwrap();
         let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
         let refined = run(arguments.iter().chain(&["--config", text(&config)]));
         let [said, told] = [refined.stdout, refined.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
@@ -228,7 +227,7 @@ fn a_refinement_is_refused_what_does_not_go_together() {
     let refine = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
     let transparent = ["--mask", "transparent", "--config", text(&config)];
     fail(refine.iter().chain(&transparent), &["mask is transparent", "background is random"]);
-    let search = ["--evolve", "paper", "--iterations", "50"];
+    let search = ["--genetic", "--iterations", "50"];
     fail(refine.iter().chain(&search), &["--iterations", "--generations"]);
     assert!(!out.exists());
 }
@@ -254,7 +253,7 @@ fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
     assert_eq!(
         genesplat::io::read_ply(&folder.path().join("1.ply")).unwrap().len(),
         rows,
-        "renewals replace, none is added"
+        "none is added"
     );
     assert!(one == refined("2").0 && one == refined("7").0);
 }

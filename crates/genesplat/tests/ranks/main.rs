@@ -25,7 +25,7 @@ fn any_number_of_processes_has_the_bytes_of_one() {
 fn steps_of_several_photos_and_searches_have_them_too() {
     let folder = tempfile::tempdir().unwrap();
     let scene = scene(folder.path());
-    let search = ["--variant", "mip-splatting", "--evolve", "paper", "--population", "6", "--generations", "2"];
+    let search = ["--method", "mip-splatting", "--genetic", "--population", "6", "--generations", "2"];
     let more = [&search[..], &["--views-per-step", "4"]].concat();
     let [plain, out] = ["plain", "ranks"].map(|name| folder.path().join(name));
     succeed(Command::new(genesplat()).args(train(&scene, &plain, &more)));

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use genesplat::gallery::{self, GalleryOptions};
 
-/// Grows, resets and renews within a few seconds.
+/// Grows, resets and averages within a few seconds.
 pub(crate) const SCHEDULE: [&str; 9] =
     ["--steps-scale", "0.02", "--max-gaussians", "2500", "--checkpoint-every", "50", "--threads", "1", "--seed=3"];
 

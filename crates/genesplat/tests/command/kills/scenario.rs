@@ -15,12 +15,10 @@ use crate::support::{command, copy, json, run, scene, succeed, train};
 pub(crate) const SIGKILL: i32 = 9;
 /// Scenarios that share the kills.
 const SCENARIOS: usize = 3;
-/// The published schedule in sixty steps, with a renewal, and a checkpoint in every twentieth.
-pub(crate) const SCHEDULE: [&str; 6] = [
+/// The whole schedule in sixty steps, averages included, and a checkpoint in every twentieth.
+pub(crate) const SCHEDULE: [&str; 4] = [
     "--steps-scale=0.002",
     "--max-gaussians=400",
-    "--variant=pixel-gs",
-    "--evolve=renew",
     "--checkpoint-every=20",
     "--no-lpips",
 ];

@@ -1,0 +1,78 @@
+//! What happens when, as a drawing: a row for each event, along the iterations.
+
+use genesplat_train::timeline::{Event, Timeline, When};
+
+use super::html::Html;
+
+const WIDTH: f64 = 720.0;
+const LABELS: f64 = 190.0;
+const RIGHT: f64 = 16.0;
+const ROW: f64 = 22.0;
+/// More of them are a bar.
+const TICKS: usize = 48;
+
+/// Writes the section.
+pub(crate) fn write(page: &mut Html, timeline: &Timeline) {
+    let rows = rows(timeline);
+    let height = ROW * (rows.len() + 1) as f64;
+    page.element("h2", "Timeline").open("figure");
+    page.open(&format!("svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\"")).element("title", "What happens when");
+    for ((event, whens), row) in rows.iter().zip(0..) {
+        let y = ROW * (f64::from(row) + 0.5);
+        page.element(&format!("text x=\"0\" y=\"{:.1}\"", y + 4.0), event.words());
+        let drawn: String = whens.iter().map(|&when| drawn(when, timeline.iterations, y)).collect();
+        page.open(&format!("path class=\"line\" style=\"stroke:var(--c0);stroke-width:2\" d=\"{drawn}\"/"));
+    }
+    for (part, anchor) in [(0.0, "start"), (0.5, "middle"), (1.0, "end")] {
+        let i = (f64::from(timeline.iterations) * part).round();
+        let place = format!(
+            "text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\"",
+            x_of(i, timeline.iterations),
+            height - 6.0
+        );
+        page.element(&place, &crate::numbers::thousands(i as usize));
+    }
+    page.close("svg").close("figure");
+}
+
+/// The events that happen at all but for steps, each with all that is planned of it.
+fn rows(timeline: &Timeline) -> Vec<(Event, Vec<When>)> {
+    let mut rows: Vec<(Event, Vec<When>)> = Vec::new();
+    for &(event, when) in timeline.events().iter().filter(|(event, when)| *event != Event::Step && !when.is_never()) {
+        match rows.last_mut() {
+            Some((last, whens)) if *last == event => whens.push(when),
+            _ => rows.push((event, vec![when])),
+        }
+    }
+    rows
+}
+
+fn x_of(i: f64, iterations: u32) -> f64 {
+    LABELS + i / f64::from(iterations.max(1)) * (WIDTH - LABELS - RIGHT)
+}
+
+fn drawn(when: When, iterations: u32, y: f64) -> String {
+    let x = |i: u32| x_of(f64::from(i), iterations);
+    if when.iter().nth(TICKS).is_some() {
+        return format!("M{:.1} {y:.1}H{:.1}", x(when.first), x(when.last));
+    }
+    when.iter().map(|i| format!("M{:.1} {:.1}v8", x(i), y - 4.0)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_train::{MethodName, TrainConfig};
+
+    use super::*;
+
+    #[test]
+    fn each_event_has_a_row_and_few_are_ticks() {
+        let schedule = TrainConfig::of(MethodName::ThreeDgs).resolve().unwrap();
+        let mut page = Html::new();
+        write(&mut page, schedule.timeline());
+        let text = page.into_text();
+        assert_eq!(text.matches("<path").count(), 2, "{text}");
+        assert_eq!(text.matches("v8").count(), 4, "opacities are reset four times: {text}");
+        assert!(text.contains("densify") && text.contains("opacity reset") && text.contains("30,000"), "{text}");
+    }
+}
