@@ -61,6 +61,7 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "archive" => {
             vec![wrap::zip(&["a/1.png", "sparse/0/cameras.txt", "b"], &wrap::framed(&[vec![1; 9], CAMERAS.into()]))]
         }
+        "archive-names" => vec![b"a/1.png\nb/../2.jpg\nA/1.png".into(), b"1.png\n1.png".into()],
         "cameras-bin" => vec![model("cameras.bin")],
         "images-bin" => vec![model("images.bin")],
         "points-bin" => vec![model("points3D.bin")],
@@ -79,6 +80,7 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "sog" => sogs(),
         "sog-inside" => sogs().iter().map(|file| parts(file, &targets::SOG_PARTS)).collect(),
         "glb" => vec![splat(Format::Glb, 2, 1), splat(Format::Glb, 1, 0)],
+        "values" => values(),
         "config" => vec![toml::to_string(&TrainConfig::default()).expect("defaults are text").into(), CONFIG.into()],
         "checkpoint" => [0, 2].map(|rows| inside(checkpoint(rows))).into(),
         "weights" => vec![safetensors(), legacy()],
@@ -88,6 +90,16 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "camera-path" => vec![PATH.into()],
         other => panic!("{other} has no seeds"),
     }
+}
+
+/// Gaussians of numbers that are usual, that are as large as is believed, and that overflow when they are used.
+fn values() -> Vec<Vec<u8>> {
+    let rows = [0.5f32, 1e9, -1e9, 20.7, 89.0, 3e38, f32::NAN];
+    let row = |value: f32| [value.to_le_bytes(); targets::VALUES_PER_ROW].concat();
+    vec![
+        rows[..3].iter().flat_map(|value| row(*value)).collect(),
+        rows[3..].iter().flat_map(|value| row(*value)).collect(),
+    ]
 }
 
 const CONFIG: &str = "seed = 3\nvariant = \"mcmc\"\niterations = 700\nsteps_scale = 0.5\nbackground = \"random\"\n\
@@ -199,7 +211,9 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
     let virtual_pictures = vec![Photo { width: 2, height: 1, rgb: (0..6).collect() }.into(); rows];
     let mut bytes = Vec::new();
-    Checkpoint { cursor, progress, state, trial: None, virtual_pictures }.write(&mut bytes).expect("memory takes it");
+    let origin = String::from("seed = 7");
+    let checkpoint = Checkpoint { origin, cursor, progress, state, trial: None, virtual_pictures };
+    checkpoint.write(&mut bytes).expect("memory takes it");
     bytes
 }
 

@@ -3,6 +3,7 @@
 //! That nothing panics, overflows, hangs or fills memory holds of all. Errors are shown, since a sentence is made only
 //! then. What was read is written and read again, where there is a writer.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -11,6 +12,7 @@ use genesplat_core::Gaussians;
 use genesplat_io::bytes;
 use genesplat_io::colmap::Form;
 use genesplat_io::format::{Format, Options};
+use genesplat_io::ply::leave_out_faults;
 use genesplat_metrics::weights::read_weights;
 use genesplat_train::{Checkpoint, TrainConfig};
 use genesplat_viewer::message::ClientMessage;
@@ -21,8 +23,9 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 26] = [
-    ("archive", |bytes| assert!(said(bytes::unpacked(bytes)).is_none_or(|sum| sum <= UNPACKED_MAX))),
+pub(crate) const ALL: [(&str, Target); 28] = [
+    ("archive", archive),
+    ("archive-names", |bytes| archive(&wrap::empty_entries(bytes.split(|byte| *byte == b'\n')))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
     ("cameras-txt", |bytes| drop(said(bytes::cameras(Form::Text, bytes)))),
     ("images-bin", |bytes| drop(said(bytes::images(Form::Binary, bytes)))),
@@ -41,6 +44,7 @@ pub(crate) const ALL: [(&str, Target); 26] = [
     ("sog", |bytes| splat(Format::Sog, bytes)),
     ("sog-inside", |bytes| splat(Format::Sog, &wrap::zip(&SOG_PARTS, bytes))),
     ("glb", |bytes| splat(Format::Glb, bytes)),
+    ("values", values),
     ("config", config),
     ("checkpoint", |bytes| checkpoint(&wrap::checkpoint(bytes))),
     ("weights", weights),
@@ -57,6 +61,8 @@ const PHOTO_PIXELS_MAX: u64 = 1 << 14;
 const LENS_SIDE_MAX: u32 = 24;
 /// Larger clouds are read, but not written again.
 const CLOUD_MAX: usize = 64;
+/// Everything that a Gaussian has, its 3D filter among it.
+pub(crate) const VALUES_PER_ROW: usize = 60;
 
 /// As genesplat names them.
 pub(crate) const SOG_PARTS: [&str; 8] = [
@@ -77,6 +83,16 @@ pub(crate) const TOKEN: &str = "5e1f";
 /// What was read, or nothing, once the reason is said.
 fn said<T>(read: Result<T, impl std::fmt::Display>) -> Option<T> {
     read.map_err(|error| assert!(!error.to_string().trim().is_empty(), "an error says something")).ok()
+}
+
+/// What is unpacked is no more than is likely, and every name is one file's.
+fn archive(bytes: &[u8]) {
+    let Some(files) = said(bytes::unpacked(bytes)) else { return };
+    assert!(files.iter().map(|(_, bytes)| bytes).sum::<u64>() <= UNPACKED_MAX);
+    let names: BTreeSet<String> = files.iter().map(|(file, _)| file.to_string_lossy().to_lowercase()).collect();
+    assert_eq!(names.len(), files.len(), "a name that occurs twice is refused");
+    let list = bytes.windows(4).filter(|mark| mark == b"PK\x01\x02").count();
+    assert!(files.len() <= list, "no entry is made up");
 }
 
 fn lenses(bytes: &[u8]) {
@@ -100,6 +116,32 @@ fn splat(format: Format, bytes: &[u8]) {
     assert_eq!(again.len(), read.cloud.len());
     let is_exact = format == Format::Ply;
     assert!(!is_exact || is_same(&again, &read.cloud), "every bit is kept");
+}
+
+/// Whatever numbers a cloud holds: without what cannot be shown, every format takes it or says why not, and what is written
+/// is read again whole.
+fn values(bytes: &[u8]) {
+    let numbers: Vec<f32> = bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    let (rows, _) = numbers.as_chunks::<VALUES_PER_ROW>();
+    let mut cloud = Gaussians { filter_3d: Some(vec![0.0; rows.len()]), ..Gaussians::zeros(rows.len()) };
+    for (row, [x, y, z, sx, sy, sz, a, b, c, d, opacity, filter, sh @ ..]) in rows.iter().enumerate() {
+        cloud.positions[row] = [*x, *y, *z];
+        cloud.log_scales[row] = [*sx, *sy, *sz];
+        cloud.rotations[row] = [*a, *b, *c, *d];
+        cloud.opacity_logits[row] = *opacity;
+        cloud.sh[row] = *sh;
+        cloud.filter_3d.iter_mut().for_each(|filters| filters[row] = *filter);
+    }
+    let (sound, faults) = leave_out_faults(cloud);
+    assert!(sound.len() + faults.len() == rows.len() && faults.iter().all(|fault| !fault.to_string().is_empty()));
+    if sound.is_empty() {
+        return;
+    }
+    for format in Format::ALL {
+        let Some(file) = said(bytes::written(format, &sound, &Options::default())) else { continue };
+        let again = bytes::splat(format, &file).expect("what is written is read").cloud;
+        assert_eq!(again.len(), sound.len(), "{format:?}");
+    }
 }
 
 /// Zeros of either sign are equal, and nothing that was read is NaN.

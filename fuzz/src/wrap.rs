@@ -37,6 +37,22 @@ pub(crate) fn zip(names: &[&str], mut bytes: &[u8]) -> Vec<u8> {
     zip.finish().expect("memory takes it").into_inner()
 }
 
+/// A ZIP file of empty files of these names, which may occur twice.
+pub(crate) fn empty_entries<'a>(names: impl Iterator<Item = &'a [u8]>) -> Vec<u8> {
+    let (mut file, mut list, mut count) = (Vec::new(), Vec::new(), 0u16);
+    for name in names.take(64) {
+        let (start, length) = (file.len() as u32, (name.len() as u16).to_le_bytes());
+        // Version 2.0, stored, and nothing in it: flags, method, time, date, checksum, both sizes.
+        let common = [&[20, 0][..], &[0; 20], &length, &[0; 2]].concat();
+        file.extend([b"PK\x03\x04", &common[..], name].concat());
+        list.extend([b"PK\x01\x02\x14\0", &common[..], &[0; 10], &start.to_le_bytes(), name].concat());
+        count += 1;
+    }
+    let counts = [count.to_le_bytes(); 2].concat();
+    let sizes = [list.len() as u32, file.len() as u32].map(u32::to_le_bytes).concat();
+    [file, list, b"PK\x05\x06\0\0\0\0".to_vec(), counts, sizes, vec![0; 2]].concat()
+}
+
 /// What [`zip`] takes.
 pub(crate) fn framed(parts: &[Vec<u8>]) -> Vec<u8> {
     parts.iter().flat_map(|part| [&(part.len() as u16).to_le_bytes(), &part[..]].concat()).collect()

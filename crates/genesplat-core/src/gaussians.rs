@@ -157,6 +157,10 @@ impl Gaussians {
     pub fn filter_dimming(&self, row: usize) -> f32 {
         let Some(filter) = &self.filter_3d else { return 1.0 };
         let filter_variance = f64::from(filter[row]).powi(2);
+        if filter_variance == 0.0 {
+            // Also of a Gaussian without a size.
+            return 1.0;
+        }
         let ratio = |log_scale: f32| variance(log_scale) / (variance(log_scale) + filter_variance);
         self.log_scales[row].map(ratio).iter().product::<f64>().sqrt() as f32
     }

@@ -20,8 +20,9 @@ use std::sync::Arc;
 
 use genesplat_core::{Camera, Photo, View};
 use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
-use genesplat_io::photos::{PhotoError, write_png};
-use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
+use genesplat_io::own;
+use genesplat_io::photos::{PhotoError, write_own_png};
+use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene, SceneDigests};
 
 /// How the gallery is photographed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,21 +88,25 @@ fn photo_of(view: &View) -> Arc<Photo> {
     view.photo.read().expect("what was just made is there")
 }
 
+/// Where the model of a scene is.
+const MODEL: &str = "sparse/0";
+
 impl Gallery {
     /// As a scene, without files.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
         let (train, test) = hold_out.split(self.views);
+        let digests = SceneDigests::of_views([&train, &test], &self.points);
         let (photos, notices) = (Vec::new(), Vec::new());
-        Scene { name: "gallery".into(), train, test, points: self.points, photos, notices }
+        Scene { name: "gallery".into(), train, test, points: self.points, photos, digests, notices }
     }
 
     /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.
     pub fn write_colmap(&self, folder: &Path) -> Result<(), PhotoError> {
         for view in &self.views {
-            write_png(&folder.join("images").join(&view.name), &photo_of(view))?;
+            write_own_png(folder, Path::new("images").join(&view.name), &photo_of(view))?;
         }
-        let model = folder.join("sparse/0");
-        write_model(&model, &self.model()).map_err(|source| PhotoError::Write { path: model, source })
+        let written = own::make_folder(folder, MODEL).and_then(|model| write_model(&model, &self.model()));
+        written.map_err(|source| PhotoError::Write { path: folder.join(MODEL), source })
     }
 
     fn model(&self) -> Model {

@@ -3,6 +3,8 @@
 //! An archive is believed as little as any file: no entry leads out of its folder, and what it claims to hold is compared
 //! with its own size before anything is written.
 
+pub(crate) mod entries;
+
 use std::collections::HashSet;
 use std::io::{self, BufReader, ErrorKind, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -10,9 +12,10 @@ use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-use crate::atomic::write_atomically;
+use crate::atomic;
+use crate::names::NameProblem;
 use crate::similar::{CONVERT, UNREAD, has_ending};
-use crate::{input, shown};
+use crate::{input, names, own, shown};
 
 /// Endings of all that scenes consist of.
 const ENDINGS: [&str; 8] = ["jpg", "jpeg", "png", "webp", "bin", "txt", "json", "ply"];
@@ -77,19 +80,26 @@ pub fn is_zip(path: &Path) -> bool {
     has_ending(path, &["zip"]) && path.is_file()
 }
 
-/// Unpacks photos, models, lists and clouds of points into `folder`.
+/// Unpacks photos, models, lists and clouds of points into `folder`. When it returns, all of it is on the disk.
 pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let read = |source| ArchiveError::Read { archive: archive.to_owned(), source };
     let file = input::open(archive).map_err(read)?;
     let bytes = file.metadata().map_err(read)?.len();
-    each_entry(archive, BufReader::new(file), bytes, |name, content| {
+    let mut written = Vec::new();
+    let unpacked = each_entry(archive, BufReader::new(file), bytes, |name, content| {
         let file = folder.join(name);
-        let written = write_atomically(&file, |out| io::copy(content, out).map(drop));
-        written.map_err(|source| match source.kind() {
-            ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
-            _ => ArchiveError::Write { file, source },
-        })
-    })
+        own::write_unflushed(folder, Path::new(name), |out| io::copy(content, out).map(drop)).map_err(|source| {
+            match source.kind() {
+                ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
+                _ => ArchiveError::Write { file: file.clone(), source },
+            }
+        })?;
+        written.push(file);
+        Ok(())
+    })?;
+    // All at once: one by one, thousands of small files wait for the disk for half a minute.
+    atomic::flush(folder, &written).map_err(|source| ArchiveError::Write { file: folder.to_owned(), source })?;
+    Ok(unpacked)
 }
 
 /// Passes on each file that is unpacked, once all are known to be harmless.
@@ -100,7 +110,7 @@ pub(crate) fn each_entry(
     mut on_entry: impl FnMut(&Path, &mut dyn Read) -> Result<(), ArchiveError>,
 ) -> Result<Unpacked, ArchiveError> {
     let unreadable = |error: ZipError| refused(path, format!("cannot be read: {error}"));
-    let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
+    let mut archive = entries::open(reader).map_err(|problem| refused(path, problem))?;
     let Wanted { entries, unread } = wanted(path, &mut archive, bytes)?;
     for (index, name) in &entries {
         let entry = archive.by_index(*index).map_err(unreadable)?;
@@ -138,9 +148,14 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
     let (mut claimed, mut packed) = (0u64, 0u64);
     for index in 0..archive.len() {
         let entry = archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
-        let Some(name) = entry.enclosed_name() else {
-            let name = String::from_utf8_lossy(entry.name_raw()).into_owned();
-            return Err(refused(path, format!("holds {}, which leads out of its folder", shown(name))));
+        let name = match name_of(entry.enclosed_name()) {
+            Ok(name) => name,
+            // The folder itself.
+            Err(NameProblem::Nothing) if entry.is_dir() => continue,
+            Err(problem) => {
+                let name = String::from_utf8_lossy(entry.name_raw()).into_owned();
+                return Err(refused(path, format!("holds {}, which {problem}", shown(name))));
+            }
         };
         if entry.is_symlink() {
             return Err(refused(path, format!("holds {}, which is a link", shown(&name))));
@@ -171,6 +186,11 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
         (true, Some(first)) => Err(ArchiveError::Unread { archive: path.to_owned(), first: first.clone() }),
         (false, _) => Ok(Wanted { entries, unread }),
     }
+}
+
+/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such.
+fn name_of(enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
+    names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?).map(PathBuf::from)
 }
 
 /// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.

@@ -3,13 +3,17 @@
 //! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then renamed. A
 //! full disk or a killed process leaves the old file, never a partial one.
 //!
-//! Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe, a terminal, a device) takes the
-//! bytes as they come, since a rename would put a file in its place.
+//! This is for names that users give. Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe,
+//! a terminal, a device) takes the bytes as they come, since a rename would put a file in its place. Names of ours are for
+//! [`crate::own`].
 
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind};
 use std::path::{Path, PathBuf};
+use std::process;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Symbolic links that are followed one after another, as many as Linux follows.
 const LINKS_MAX: u32 = 40;
@@ -19,19 +23,56 @@ const LINKS_MAX: u32 = 40;
 /// On an error the temporary file is removed and whatever was at `path` before is still there.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     match Target::of(path)? {
-        Target::File(path) => replace(&path, fill),
+        Target::File(path) => replace(&path, File::sync_all, fill),
         Target::Stream => fill_file(OpenOptions::new().append(true).open(path)?, fill).map(|_| ()),
     }
+}
+
+/// Waits until `files`, which are in `folder` or below it, are on the disk.
+#[cfg(target_os = "linux")]
+pub(crate) fn flush(folder: &Path, _files: &[PathBuf]) -> io::Result<()> {
+    Ok(rustix::fs::syncfs(File::open(folder)?)?)
+}
+
+/// Other systems have no call for all files of a disk that waits.
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn flush(_folder: &Path, files: &[PathBuf]) -> io::Result<()> {
+    files.iter().try_for_each(|file| OpenOptions::new().write(true).open(file)?.sync_all())
+}
+
+/// Ends this process at once, whatever other threads do: no file that is being written stays, and none appears any more.
+pub fn end_process(status: i32) -> ! {
+    let unfinished = unfinished();
+    for temporary in &*unfinished {
+        // Only litter.
+        let _ = fs::remove_file(temporary);
+    }
+    // While this is held, nobody makes another, or learns that its own is gone.
+    let _held = unfinished;
+    process::exit(status)
+}
+
+/// Temporary files of this process.
+fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Fails where [`write_atomically`] would, as far as that is known before anything is written. Leaves nothing behind.
 pub fn check_writable(path: &Path) -> io::Result<()> {
     let Target::File(path) = Target::of(path)? else { return Ok(()) };
+    probe(&path)
+}
+
+/// The same for a path without links.
+pub(crate) fn probe(path: &Path) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default();
     // Folders that are missing will be made in the first one that is there; nothing else is sure before.
     let there = path.ancestors().skip(1).find(|folder| folder.exists()).unwrap_or(Path::new(""));
     let (probe, _) = create_beside(&there.join(name))?;
-    fs::remove_file(&probe)
+    let removed = fs::remove_file(&probe);
+    unfinished().remove(&probe);
+    removed
 }
 
 enum Target {
@@ -67,18 +108,74 @@ fn behind_links(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("its symbolic links lead round and round"))
 }
 
-fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
+/// Puts a new file at `path`, whatever file or link has that name.
+pub(crate) fn replace(
+    path: &Path,
+    flush: impl FnOnce(&File) -> io::Result<()>,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    let unfinished = Unfinished::at(path)?;
+    fill_file(unfinished.file.try_clone()?, fill)?;
+    unfinished.finish_after(flush)
+}
+
+/// A file under way, under a temporary name beside the place that it takes once it is whole. Dropped before, it is gone.
+#[derive(Debug)]
+pub struct Unfinished {
+    temporary: PathBuf,
+    file: File,
+    path: PathBuf,
+    is_finished: bool,
+}
+
+impl Unfinished {
+    /// An empty file that becomes the one at `path`, or behind it where it is a link; missing folders are made. Fails where
+    /// `path` is a stream.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        match Target::of(path)? {
+            Target::File(path) => Self::at(&path),
+            Target::Stream => Err(io::Error::new(ErrorKind::InvalidInput, "it is no regular file, and one is needed")),
+        }
     }
-    let (temporary, file) = create_beside(path)?;
-    let written = fill_file(file, fill).and_then(|file| file.sync_all());
-    let replaced = written.and_then(|()| fs::rename(&temporary, path));
-    if replaced.is_err() {
-        // The first error is the one to report; a leftover is only litter.
-        let _ = fs::remove_file(&temporary);
+
+    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let (temporary, file) = create_beside(path)?;
+        Ok(Self { temporary, file, path: path.to_owned(), is_finished: false })
     }
-    replaced
+
+    /// Where it is now: for programs of others, which are given a name.
+    pub fn temporary(&self) -> &Path {
+        &self.temporary
+    }
+
+    pub(crate) fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Flushes it to the disk, and gives it its name.
+    pub fn finish(self) -> io::Result<()> {
+        self.finish_after(File::sync_all)
+    }
+
+    fn finish_after(mut self, flush: impl FnOnce(&File) -> io::Result<()>) -> io::Result<()> {
+        flush(&self.file)?;
+        fs::rename(&self.temporary, &self.path)?;
+        self.is_finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        if !self.is_finished {
+            // Only litter.
+            let _ = fs::remove_file(&self.temporary);
+        }
+        unfinished().remove(&self.temporary);
+    }
 }
 
 fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<File> {
@@ -94,10 +191,16 @@ fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
     path.file_name().ok_or_else(|| io::Error::other("the path has no file name"))?;
     loop {
         let serial = COUNTER.fetch_add(1, Ordering::Relaxed);
-        let temporary = path.with_file_name(format!(".genesplat-{}-{serial}.tmp", std::process::id()));
+        let temporary = path.with_file_name(format!(".genesplat-{}-{serial}.tmp", process::id()));
+        // Of a name that is taken, the file is another's.
+        let mut unfinished = unfinished();
         match OpenOptions::new().write(true).create_new(true).open(&temporary) {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            created => return created.map(|file| (temporary, file)),
+            Err(error) => return Err(error),
+            Ok(file) => {
+                unfinished.insert(temporary.clone());
+                return Ok((temporary, file));
+            }
         }
     }
 }

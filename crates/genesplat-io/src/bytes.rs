@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Cursor};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use genesplat_core::{Camera, Gaussians, Photo};
 
@@ -52,15 +52,15 @@ pub fn point_cloud(bytes: &[u8]) -> Result<Vec<Point>, PlyError> {
     ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64)
 }
 
-/// How many bytes a zip archive unpacks to.
-pub fn unpacked(bytes: &[u8]) -> Result<u64, ArchiveError> {
-    let (name, mut sum) = (Path::new(NAME), 0);
-    archive::each_entry(name, Cursor::new(bytes), bytes.len() as u64, |_, content| {
+/// The files that a zip archive unpacks to, and how many bytes each has.
+pub fn unpacked(bytes: &[u8]) -> Result<Vec<(PathBuf, u64)>, ArchiveError> {
+    let (archive, mut files) = (Path::new(NAME), Vec::new());
+    archive::each_entry(archive, Cursor::new(bytes), bytes.len() as u64, |file, content| {
         // What its reader finds wrong ends it.
-        sum += io::copy(content, &mut io::sink()).unwrap_or_default();
+        files.push((file.to_owned(), io::copy(content, &mut io::sink()).unwrap_or_default()));
         Ok(())
     })?;
-    Ok(sum)
+    Ok(files)
 }
 
 /// A photo of at most `pixels_max` pixels: larger ones are decoded, too, but not often enough in a second.

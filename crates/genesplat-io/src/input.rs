@@ -41,7 +41,7 @@ fn check_regular(path: &Path) -> io::Result<()> {
 }
 
 #[cfg(unix)]
-fn special(kind: fs::FileType) -> &'static str {
+pub(crate) fn special(kind: fs::FileType) -> &'static str {
     use std::os::unix::fs::FileTypeExt;
 
     if kind.is_fifo() {
@@ -54,7 +54,7 @@ fn special(kind: fs::FileType) -> &'static str {
 }
 
 #[cfg(not(unix))]
-fn special(_kind: fs::FileType) -> &'static str {
+pub(crate) fn special(_kind: fs::FileType) -> &'static str {
     "no file"
 }
 

@@ -8,24 +8,30 @@ pub mod atomic;
 #[doc(hidden)]
 pub mod bytes;
 pub mod colmap;
+mod digest;
 mod error;
 pub mod format;
 pub mod input;
 mod listing;
+pub mod names;
+pub mod own;
 pub mod photos;
 pub mod ply;
 mod scene;
 mod shown;
 mod similar;
 mod transforms;
+mod visited;
 
+pub use digest::Digest;
 pub use error::SceneError;
 pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
-    HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, SceneList, ScenePhoto, Spill, blocks,
-    list_scene, load_points, load_scene, mask_of, model_of,
+    HoldOut, LoadOptions, LoadProgress, MaskUse, PhotoDigests, Point, SIDE_MIN_PX, Scene, SceneDigests, SceneList,
+    ScenePhoto, Spill, blocks, list_scene, load_points, load_scene, mask_of, model_of, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};
+pub use visited::Visited;

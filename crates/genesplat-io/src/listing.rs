@@ -2,23 +2,26 @@
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::ffi::OsStr;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
 use genesplat_core::camera::near_of;
 use glam::DVec3;
 
+use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::{Cube, Point};
 use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
-use crate::{plural, shown};
+use crate::{names, plural, shown};
 
 pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
     /// None where the scene has none, or none are wanted.
     pub(crate) points: Vec<Point>,
+    /// Of the points that the scene itself has, once they are wanted.
+    pub(crate) points_digest: Option<Digest>,
     /// The file that the points are from, or that names none, for errors.
     pub(crate) points_file: PathBuf,
     /// Where random points lie, if this is known; else it follows from the cameras.
@@ -100,15 +103,19 @@ impl Listing {
     }
 }
 
-/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so.
+/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so; and the one form
+/// of names, where it has one.
 pub(crate) fn separate(name: &mut String, folder: &Path) {
     if name.contains('\\') && !folder.join(&*name).is_file() {
         *name = name.replace('\\', "/");
     }
+    if let Ok(below) = names::below(name) {
+        *name = below;
+    }
 }
 
 /// The photo `name` as a path, if it stays inside its folder.
-pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
+pub(crate) fn inside(name: &str, list: &Path) -> Result<PathBuf, SceneError> {
     path_inside(name).ok_or_else(|| {
         let problem = "which is not a path inside the scene's image folder; correct the name";
         SceneError::invalid(list, format!("lists the photo {name:?}, {problem}"))
@@ -116,10 +123,8 @@ pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneEr
 }
 
 /// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
-pub(crate) fn path_inside(name: &str) -> Option<&Path> {
-    let path = Path::new(name);
-    let stays = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-    (stays && path.file_name().is_some()).then_some(path)
+pub(crate) fn path_inside(name: &str) -> Option<PathBuf> {
+    names::below(name).ok().map(PathBuf::from)
 }
 
 pub(crate) fn no_photos(list: &Path) -> SceneError {
@@ -156,14 +161,29 @@ pub(crate) fn intrinsics_problem(
     const SIDE_MAX_PX: f64 = (1 << 20) as f64;
     /// The same for focal lengths and, to either side, principal points.
     const LENGTH_MAX_PX: f64 = 1e9;
+    /// The least focal length: with a shorter one, a photo shows more than half of the sky within f32's resolution.
+    const FOCAL_MIN_PX: f64 = 1e-3;
     if !size_px.iter().all(|side| (1.0..=SIDE_MAX_PX).contains(side)) {
         Some("has an impossible image size")
     } else if !focal_px.iter().all(|focal| focal.is_finite() && *focal > 0.0) {
         Some("has a focal length that is not a positive number")
     } else if !principal_px.iter().all(|coordinate| coordinate.is_finite()) {
         Some("has a principal point that is not finite")
+    } else if focal_px.iter().any(|focal| *focal < FOCAL_MIN_PX) {
+        Some("has a focal length below 1e-3 pixels")
     } else if focal_px.iter().chain(&principal_px).any(|length| length.abs() > LENGTH_MAX_PX) {
         Some("has a focal length or a principal point beyond 1e9 pixels")
+    } else {
+        None
+    }
+}
+
+/// What makes the coefficients of a lens impossible, if anything does.
+pub(crate) fn coefficients_problem(coefficients: &[f64]) -> Option<&'static str> {
+    if !coefficients.iter().all(|value| value.is_finite()) {
+        Some("has distortion coefficients that are not finite")
+    } else if coefficients.iter().any(|value| value.abs() > COORDINATE_MAX) {
+        Some("has distortion coefficients beyond 1e9")
     } else {
         None
     }

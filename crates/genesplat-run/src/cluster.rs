@@ -32,6 +32,9 @@ const LOCAL_SIZE: &str = "OMPI_COMM_WORLD_LOCAL_SIZE";
 /// The number of this process among those of this machine.
 const LOCAL_RANK: &str = "OMPI_COMM_WORLD_LOCAL_RANK";
 
+/// 32-bit words of a digest.
+const DIGEST_WORDS: usize = 8;
+
 /// The processes of a run.
 pub struct Cluster {
     group: Group,
@@ -94,11 +97,11 @@ impl Cluster {
 
     /// Fails where a rank has loaded other things than rank 0: each would train its rows of another run.
     pub fn check_alike(&self, settings: &Settings, scene: &Scene) -> Result<()> {
-        let own = digests(settings, scene).map_err(|error| BackendError::Unsupported(error.to_string()));
-        let words = |digest: u64| [digest as u32, (digest >> 32) as u32];
-        let parts = self.group.gather(own.map(|own| own.into_iter().flat_map(words).collect()))?;
-        let different =
-            |rank: usize| (0..PARTS.len()).find(|&part| parts[rank][2 * part..][..2] != parts[0][2 * part..][..2]);
+        let bytes = digests(settings, scene).map(|digest| digest.bytes());
+        let words = bytes.as_flattened().as_chunks().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
+        let parts = self.group.gather(Ok(words))?;
+        let of = |rank: usize, part: usize| &parts[rank][DIGEST_WORDS * part..][..DIGEST_WORDS];
+        let different = |rank: usize| (0..PARTS.len()).find(|&part| of(rank, part) != of(0, part));
         match (1..parts.len()).find_map(|rank| Some((rank, different(rank)?))) {
             Some((rank, part)) => bail!(
                 "rank {rank} has {} than rank 0; give all ranks the same program, settings and copies of the scene",

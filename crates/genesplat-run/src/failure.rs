@@ -6,7 +6,7 @@ use genesplat_core::BackendError;
 use genesplat_io::shown;
 use genesplat_train::TrainError;
 
-use super::session::{Caller, has_checkpoint, no_rows, read_checkpoint};
+use super::session::{Caller, TakenOver, has_checkpoint, no_rows, read_checkpoint};
 use super::{CHECKPOINT, METRICS};
 
 /// `error`, and after its sentence what is left of the run in `folder`, and how to go on.
@@ -50,6 +50,9 @@ impl DeviceFailure {
 }
 
 fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String {
+    if error.is::<TakenOver>() {
+        return String::new();
+    }
     let failed = DeviceFailure::behind(error);
     let anew = match caller {
         Caller::Train => "the run has to begin anew",
@@ -106,6 +109,7 @@ mod tests {
 
     fn checkpoint(iteration: u32) -> Checkpoint {
         Checkpoint {
+            origin: String::new(),
             cursor: Cursor::start_of(iteration),
             progress: Progress::default(),
             state: DeviceState::default(),
@@ -127,7 +131,7 @@ mod tests {
         assert_eq!(says(other()), "the moon is full");
         assert!(says(TrainError::Backend(lost()).into()).ends_with("the run has to begin anew)"));
 
-        session.write_checkpoint(&checkpoint(4213), &Alone).unwrap();
+        session.write_checkpoint(checkpoint(4213), &Alone).unwrap();
         let file = folder.join(CHECKPOINT).display().to_string();
         let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
         for sentence in errors.map(says) {

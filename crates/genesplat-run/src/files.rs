@@ -6,18 +6,27 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use genesplat_io::atomic::{self, write_atomically};
+use genesplat_io::own::{self, NotOurs};
 use genesplat_io::{Format, shown};
 use serde::Serialize;
 
-/// Writes `value` to `path` as indented JSON, whole or not at all.
+/// Writes `value` as indented JSON to `path`, which the user has given, whole or not at all.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON");
-    write_file(path, |out| writeln!(out, "{text}"))
+    write_file(path, |out| writeln!(out, "{}", json(value)))
 }
 
-/// Writes `text` to `path`, whole or not at all.
-pub fn write_text(path: &Path, text: &str) -> Result<()> {
-    write_file(path, |out| out.write_all(text.as_bytes()))
+/// The same to `name` in `folder`, a name of ours.
+pub fn write_own_json(folder: &Path, name: &str, value: &impl Serialize) -> Result<()> {
+    write_own(folder, name, |out| writeln!(out, "{}", json(value)))
+}
+
+/// Writes `text` to `name` in `folder`, a name of ours.
+pub fn write_own_text(folder: &Path, name: &str, text: &str) -> Result<()> {
+    write_own(folder, name, |out| out.write_all(text.as_bytes()))
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON")
 }
 
 /// Fails now, rather than after an hour, where the file `path` could not be written; leaves nothing behind.
@@ -25,12 +34,22 @@ pub(crate) fn check_writable(path: &Path) -> Result<()> {
     atomic::check_writable(path).map_err(|error| unwritable(path, &error))
 }
 
-/// The same for the file `name` in the folder `path`, which whoever writes it makes.
+/// The same for the file `name` in `folder`, which whoever writes it makes.
+pub fn check_own(folder: &Path, name: impl AsRef<Path>) -> Result<()> {
+    own::check(folder, &name).map_err(|error| unwritable(&folder.join(name), &error))
+}
+
+/// Fails where something that is not ours has the name of a file of ours: better now than when it is written.
+pub fn check_name(folder: &Path, name: impl AsRef<Path>) -> Result<()> {
+    own::check_name(folder, &name).map_err(|error| unwritable(&folder.join(name), &error))
+}
+
+/// As [`check_own`], for a folder that may be missing, and may be none.
 pub fn check_folder(path: &Path, name: &str) -> Result<()> {
     if path.is_file() {
         bail!("{} is a file, and results need a folder; choose another --out", shown(path));
     }
-    check_writable(&path.join(name))
+    check_own(path, name)
 }
 
 /// The path by which a file or folder is called: `.` is the name of none.
@@ -38,22 +57,35 @@ pub fn resolved(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
-/// Writes the file at `path` through `fill`, whole or not at all.
+/// Writes the file at `path`, which the user has given, through `fill`, whole or not at all.
 pub fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))
 }
 
-/// A second name for the file `from`, or a copy where the file system has no such thing; makes the folder of `to`.
-pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
-    fs::create_dir_all(to.parent().unwrap_or(to))?;
-    let from = from.canonicalize()?;
-    fs::hard_link(&from, to).or_else(|_| fs::copy(&from, to).map(drop))
+/// The same for the file `name` in `folder`, a name of ours.
+pub fn write_own(
+    folder: &Path,
+    name: impl AsRef<Path>,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
+    own::write(folder, &name, fill).map_err(|error| unwritable(&folder.join(name), &error))
 }
 
-/// Makes a folder with nothing in it, whatever was there.
-pub fn make_empty(folder: &Path) -> Result<()> {
-    let removed = if folder.exists() { fs::remove_dir_all(folder) } else { Ok(()) };
-    removed.and_then(|()| fs::create_dir_all(folder)).map_err(|error| unwritable(folder, &error))
+/// Makes the folder `name` in `folder`, and those on the way to it, unless they are there.
+pub fn make_own_folder(folder: &Path, name: impl AsRef<Path>) -> Result<PathBuf> {
+    own::make_folder(folder, &name).map_err(|error| unwritable(&folder.join(name), &error))
+}
+
+/// Makes the folder `name` in `folder`, with nothing in it, whatever had that name.
+pub fn make_empty(folder: &Path, name: &str) -> Result<PathBuf> {
+    let path = folder.join(name);
+    let removed = match fs::symlink_metadata(&path) {
+        Ok(there) if there.is_dir() => fs::remove_dir_all(&path),
+        Ok(_) => fs::remove_file(&path),
+        Err(_) => Ok(()),
+    };
+    removed.map_err(|error| unwritable(&path, &error))?;
+    make_own_folder(folder, name)
 }
 
 /// The format of splats that the name of a file ends in.
@@ -63,14 +95,12 @@ pub fn format_of(path: &Path) -> Result<Format> {
         .with_context(|| format!("{} names no format that genesplat writes; end it in one of {endings}", shown(path)))
 }
 
-/// Removes a file that would be taken for something that it no longer is.
-pub(crate) fn remove_if_there(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", shown(path)))
-        }
-        _ => Ok(()),
-    }
+/// Removes the file `name` of ours in `folder`, which would be taken for something that it no longer is.
+pub fn remove_if_there(folder: &Path, name: impl AsRef<Path>) -> Result<()> {
+    own::remove(folder, &name).map_err(|error| {
+        let path = folder.join(name);
+        anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", shown(path))
+    })
 }
 
 /// Removes what processes that were killed while they wrote have left in `folder`; whoever calls holds its lock.
@@ -79,6 +109,14 @@ pub fn remove_leftovers(folder: &Path) {
         // Only litter.
         let _ = fs::remove_file(file);
     }
+}
+
+/// The same in `folder` and in all folders below it that are no links.
+pub fn remove_leftovers_below(folder: &Path) {
+    remove_leftovers(folder);
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let folders = entries.filter(|entry| entry.file_type().is_ok_and(|there| there.is_dir()));
+    folders.for_each(|entry| remove_leftovers_below(&entry.path()));
 }
 
 /// What processes that were killed while they wrote have left in `folder`.
@@ -92,6 +130,9 @@ pub(crate) fn leftovers(folder: &Path) -> Vec<PathBuf> {
 
 /// The sentence for a path that cannot be written.
 pub fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
+    if error.get_ref().is_some_and(|inner| inner.is::<NotOurs>()) {
+        return anyhow!("{error}");
+    }
     if error.kind() == ErrorKind::IsADirectory {
         return anyhow!("{} is a folder, and a file is to be written; give the name of a file", shown(path));
     }
@@ -114,5 +155,20 @@ mod tests {
         remove_leftovers(place.path());
         assert!(mine.iter().all(|name| place.path().join(name).exists()) && !place.path().join(left).exists());
         remove_leftovers(&place.path().join("absent"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn leftovers_go_from_folders_below_and_not_from_behind_links() {
+        let place = tempfile::tempdir().unwrap();
+        let [ours, others] = ["ours", "others"].map(|name| place.path().join(name));
+        let left = ".genesplat-4711-12.tmp";
+        for folder in [ours.join("a/b"), others.clone()] {
+            fs::create_dir_all(&folder).unwrap();
+            fs::write(folder.join(left), "x").unwrap();
+        }
+        std::os::unix::fs::symlink(&others, ours.join("a/link")).unwrap();
+        remove_leftovers_below(&ours);
+        assert!(!ours.join("a/b").join(left).exists() && others.join(left).exists());
     }
 }

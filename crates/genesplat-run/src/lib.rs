@@ -8,6 +8,7 @@
 //! | file | what it holds |
 //! |---|---|
 //! | `config.toml` | every setting, resolved; `--config` repeats the run |
+//! | `inputs.json` | what the run began with: settings, and digests of photos, masks, cameras and points |
 //! | `log.jsonl` | one line a report |
 //! | `tensorboard/events.out.tfevents.genesplat` | its curves for TensorBoard, where they were asked for |
 //! | `point_cloud.ply` | the splat, in the layout that every viewer opens |
@@ -26,6 +27,7 @@ pub mod device;
 mod digest;
 mod failure;
 pub mod files;
+pub mod inputs;
 pub mod live;
 pub mod lock;
 mod log;
@@ -36,6 +38,7 @@ pub mod numbers;
 pub mod output;
 pub mod overwrite;
 pub mod photos;
+pub mod preparing;
 pub mod report;
 pub mod reporter;
 pub mod scene;
@@ -49,6 +52,8 @@ pub mod training;
 
 /// Every setting of the run, resolved.
 pub const CONFIG: &str = "config.toml";
+/// What the run began with: settings, and digests of photos, masks, cameras and points.
+pub(crate) const INPUTS: &str = "inputs.json";
 /// The figures.
 pub const METRICS: &str = "metrics.json";
 /// A line of JSON for every report.
@@ -65,8 +70,13 @@ pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 pub const TEST: &str = "test";
 /// The folder of splats that the live page had saved.
 pub(crate) const SNAPSHOTS: &str = "snapshots";
+/// The folder of [`CHECKPOINT`].
+pub(crate) const CHECKPOINTS: &str = "checkpoint";
 /// The state of an unfinished run.
 pub const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
-const RESULTS: [&str; 7] = [METRICS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
+const RESULTS: [&str; 8] = [METRICS, INPUTS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
+
+/// The folders of a run in which files are written whole.
+pub const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];

@@ -4,11 +4,12 @@ use std::fs::{self, File, Metadata, TryLockError};
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use genesplat_io::shown;
+use genesplat_io::{own, shown};
 
 use crate::files::unwritable;
 
-const LOCK: &str = ".lock";
+/// The file that is locked.
+pub const LOCK: &str = ".lock";
 
 /// One process at a time writes to a folder. The lock is held until it is dropped, or its process ends.
 ///
@@ -31,10 +32,7 @@ impl Lock {
     }
 
     fn by(folder: &Path, lock: fn(&File) -> Result<(), TryLockError>) -> Result<Self> {
-        let path = folder.join(LOCK);
-        let file = fs::create_dir_all(folder)
-            .and_then(|()| File::options().create(true).append(true).open(&path))
-            .map_err(|error| unwritable(&path, &error))?;
+        let file = own::touch(folder, LOCK).map_err(|error| unwritable(&folder.join(LOCK), &error))?;
         // Some file systems have no locks: there it is up to the user, as it would be without this module.
         if matches!(lock(&file), Err(TryLockError::WouldBlock)) {
             bail!("another genesplat is writing to {}; wait for it or choose another --out", shown(folder));

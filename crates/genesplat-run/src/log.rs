@@ -1,11 +1,11 @@
 //! The log of a run: a line of JSON for every report.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use genesplat_io::input;
+use genesplat_io::{input, own};
 use genesplat_train::observe::LogRecord;
 
 use super::LOG;
@@ -23,9 +23,8 @@ impl Log {
     /// Opens the log in the folder of a run: anew, or at its end.
     pub(crate) fn open(folder: &Path, resumes: bool) -> Result<Self> {
         let path = folder.join(LOG);
-        let mut options = OpenOptions::new();
-        options.create(true).write(true).append(resumes).truncate(!resumes);
-        let file = options.open(&path).map_err(|error| unwritable(&path, &error))?;
+        let opened = if resumes { own::append(folder, LOG) } else { own::create(folder, LOG) };
+        let file = opened.map_err(|error| unwritable(&path, &error))?;
         let mut writer = BufWriter::new(file);
         // A full disk may have cut the last line off: what comes next must not be part of it.
         if resumes && last_byte(&path).is_some_and(|byte| byte != b'\n') {
@@ -42,8 +41,8 @@ impl Log {
     /// Appends one line, and hands it to the system: a log that is followed must not lag behind. Where the log was
     /// removed and the folder is there again, another one begins.
     pub(crate) fn append(&mut self, record: &LogRecord) -> Result<()> {
-        if !self.path.exists() && self.path.parent().is_some_and(Path::exists) {
-            let file = File::create(&self.path).map_err(|error| unwritable(&self.path, &error))?;
+        if let Some(folder) = self.path.parent().filter(|folder| folder.exists() && !self.path.exists()) {
+            let file = own::create(folder, LOG).map_err(|error| unwritable(&self.path, &error))?;
             self.writer = BufWriter::new(file);
         }
         let line = serde_json::to_string(record).expect("plain data with text keys is always JSON");

@@ -1,7 +1,8 @@
-//! Whether a run is given the scene that it began with.
+//! Whether a run is given the scene that it began with, as far as paths, names and sizes tell; [`super::inputs`] knows more.
 //!
-//! A scene may move, so a path decides only while the old one exists. Then what tells the scene apart is the number of
-//! training photos and the size of the scene in the log, and the names of test photos in the figures.
+//! A scene may move, so a path decides only while the old one exists. What tells apart the scene of a run that an older version
+//! has made is the number of training photos and the size of the scene in the log, and the names of test photos in the
+//! figures.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -13,7 +14,6 @@ use serde::Deserialize;
 
 use super::metrics::Metrics;
 use super::{CLOUD, LOG};
-use crate::settings::ConfigFile;
 
 /// Extents that differ by less, relative to them, are equal but for rounding.
 const SAME_EXTENT: f64 = 1e-6;
@@ -45,8 +45,7 @@ pub fn check(folder: &Path, scene: &Scene) -> Result<()> {
         shown(folder),
         shown(&scene.name)
     );
-    let is_given = ConfigFile::of_run(folder).is_ok_and(|config| config.train.extent.is_some());
-    let extent = scene_extent(scene.train.iter().map(|view| &view.camera)).ok().filter(|_| !is_given);
+    let extent = scene_extent(scene.train.iter().map(|view| &view.camera)).ok();
     let differ = had.zip(extent).is_some_and(|((_, began_with), now)| (began_with / now - 1.0).abs() > SAME_EXTENT);
     ensure!(
         !differ,

@@ -236,7 +236,7 @@ impl Observer for Reporter<'_> {
 
     fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
         let Some((session, cluster)) = self.run else { return };
-        let written = session.write_checkpoint(&checkpoint, cluster::owners(cluster));
+        let written = session.write_checkpoint(checkpoint, cluster::owners(cluster));
         self.keep(written);
     }
 }

@@ -10,6 +10,7 @@ use genesplat_train::scene::initialise::ColouredPoint;
 
 use crate::output;
 use crate::output::LoadBar;
+use crate::preparing;
 use crate::settings::Dataset;
 
 /// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are trained.
@@ -32,6 +33,7 @@ pub(crate) fn load_to_look(dataset: &Dataset, divisor: u32, background: [f32; 3]
 }
 
 fn read(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
+    let _preparing = preparing::begin();
     let background = background.map(|value| (255.0 * value).round() as u8);
     Ok(load_scene(path, &LoadOptions { background, ..options }, &LoadBar::default())?)
 }

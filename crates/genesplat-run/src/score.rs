@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
 use genesplat_core::{RenderSettings, View};
-use genesplat_io::photos::write_png;
+use genesplat_io::photos::write_own_png;
 use genesplat_metrics::{Evaluation, Lpips, evaluate};
 
+use crate::TEST;
 use crate::device::Device;
 use crate::output::Bar;
 use crate::scene;
@@ -26,7 +27,7 @@ pub fn evaluate_all(
 }
 
 /// Scores one photo after the other, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders are
-/// written to `folder`.
+/// written to `test/` of the run in `folder`.
 pub(crate) fn evaluate_until(
     stop: &AtomicBool,
     device: &mut Device,
@@ -43,7 +44,7 @@ pub(crate) fn evaluate_until(
         }
         let mut written = Ok(());
         let of_one = evaluate(device.as_mut(), slice::from_ref(view), settings, lpips, |_, picture| {
-            written = folder.map_or(Ok(()), |folder| write_png(&folder.join(&name), &picture));
+            written = folder.map_or(Ok(()), |folder| write_own_png(folder, Path::new(TEST).join(&name), &picture));
         })?;
         written?;
         scores.extend(of_one.views);

@@ -1,22 +1,29 @@
 //! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
 
 use std::cell::RefCell;
+use std::error::Error;
+use std::fmt;
 use std::fs;
 use std::io::{self, BufReader, ErrorKind, Write};
 use std::ops::Range;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat_core::{Gaussians, RowOwners, ScreenFilter, Sight};
-use genesplat_io::{PlyOptions, input, is_transforms, ply, shown, write_ply};
+use genesplat_io::names::is_file_name;
+use genesplat_io::{PlyOptions, input, is_transforms, ply, shown};
 use genesplat_train::Checkpoint;
 use genesplat_train::checkpoint::JointWriter;
 
-use super::lock::Lock;
+use super::inputs::Inputs;
+use super::lock::{LOCK, Lock};
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
+use super::{
+    CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST,
+};
 use crate::files::{
-    check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
+    check_folder, check_name, check_own, make_own_folder, remove_if_there, remove_leftovers, write_own, write_own_json,
+    write_own_text,
 };
 use crate::output;
 use crate::scene::names_of_pictures;
@@ -26,6 +33,21 @@ const CONFIG_MARK: &str = "# All settings of a run of genesplat";
 
 /// Rows of a splat that are written at once.
 const SPLAT_ROWS: usize = 1 << 14;
+
+/// The folder of a run was removed while it trained, and is another run's now: nothing in it is this one's.
+#[derive(Debug)]
+pub struct TakenOver {
+    folder: PathBuf,
+}
+
+impl fmt::Display for TakenOver {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let folder = shown(&self.folder);
+        write!(out, "{folder} was removed, and another run has begun there, so this one is not saved")
+    }
+}
+
+impl Error for TakenOver {}
 
 /// Who claims a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +73,8 @@ pub struct RunSession {
     lock: RefCell<Option<Lock>>,
     /// What `config.toml` holds, once the run has begun.
     config: String,
+    /// What the run begins with, or goes on with: `inputs.json`, which its checkpoints hold, too.
+    inputs: String,
 }
 
 impl RunSession {
@@ -59,11 +83,12 @@ impl RunSession {
     pub fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
         let check = if resumes { check_is_run } else { check_is_free };
         check(path)?;
+        check_names(path)?;
         // A run that never begins makes no folder, and where there is none, there is nothing to keep others from.
         let lock = path.is_dir().then(|| Lock::take(path)).transpose()?;
         let shown = shown(path);
         match (resumes, has_checkpoint(path)) {
-            (true, true) => check_writable(&path.join(CONFIG))?,
+            (true, true) => check_own(path, CONFIG)?,
             (true, false) if path.join(METRICS).exists() => bail!(
                 "the run in {shown} is finished, so there is nothing to resume; to train longer, start a run with more --iterations in \
                  another folder"
@@ -79,13 +104,19 @@ impl RunSession {
             ),
             (false, _) => {}
         }
-        Ok(Self { path: path.to_owned(), caller, resumes, writes: true, lock: lock.into(), config: String::new() })
+        let (path, lock) = (path.to_owned(), lock.into());
+        Ok(Self { path, caller, resumes, writes: true, lock, config: String::new(), inputs: String::new() })
     }
 
     /// The folder of a run that another process writes.
     pub fn follow(path: &Path, resumes: bool) -> Self {
-        let (caller, lock) = (Caller::Train, None.into());
-        Self { path: path.to_owned(), caller, resumes, writes: false, lock, config: String::new() }
+        let (path, caller, lock) = (path.to_owned(), Caller::Train, None.into());
+        Self { path, caller, resumes, writes: false, lock, config: String::new(), inputs: String::new() }
+    }
+
+    /// Says what the run begins with, or goes on with, before it does.
+    pub fn set_inputs(&mut self, inputs: &Inputs) {
+        self.inputs = inputs.to_json();
     }
 
     /// The run begins: what an older one has left is removed, and the settings `config` are written.
@@ -107,10 +138,16 @@ impl RunSession {
             "{CONFIG_MARK} {}; --config repeats it.\n# What depends on the method is left out, unless it was set: docs/settings.md.\n{config}",
             env!("CARGO_PKG_VERSION")
         );
-        write_text(&path.join(CONFIG), &self.config)?;
-        let checkpoints = path.join("checkpoint");
-        [path, &checkpoints, &path.join(TEST)].into_iter().for_each(|folder| remove_leftovers(folder));
-        fs::create_dir_all(&checkpoints).map_err(|error| unwritable(&checkpoints, &error))
+        self.write_beginning()?;
+        remove_leftovers(path);
+        FOLDERS.iter().for_each(|folder| remove_leftovers(&path.join(folder)));
+        make_own_folder(path, CHECKPOINTS).map(drop)
+    }
+
+    /// Settings first: they say whose folder it is.
+    fn write_beginning(&self) -> Result<()> {
+        write_own_text(&self.path, CONFIG, &self.config)?;
+        if self.inputs.is_empty() { Ok(()) } else { write_own_text(&self.path, INPUTS, &self.inputs) }
     }
 
     /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results without their
@@ -120,14 +157,14 @@ impl RunSession {
         match input::read_text(&config) {
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             Ok(text) if text != self.config && !self.lock.borrow().as_ref().is_some_and(|lock| lock.is_of(path)) => {
-                bail!("{} was removed, and another run has begun there, so this one is not saved", shown(path))
+                bail!(TakenOver { folder: path.clone() })
             }
             _ => return Ok(()),
         }
         // What it has locked may be gone, and then another one is to be locked.
         *self.lock.borrow_mut() = None;
         *self.lock.borrow_mut() = Some(Lock::take(path)?);
-        write_text(&config, &self.config)?;
+        self.write_beginning()?;
         output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", shown(path)));
         Ok(())
     }
@@ -173,14 +210,15 @@ impl RunSession {
     /// Writes the cloud of a run under way beside its results; returns where it is.
     pub(crate) fn write_snapshot(&self, iteration: u32, sight: &mut Sight<'_>) -> Result<PathBuf> {
         self.hold()?;
-        let path = self.path.join(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
+        let name = Path::new(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
         let options = PlyOptions { screen_filter: sight.settings().filter, ..PlyOptions::default() };
         let cloud = sight.cloud()?;
-        write_ply(&path, &cloud, &options)?;
-        Ok(path)
+        write_own(&self.path, &name, |out| ply::write_to(out, &cloud, &options))?;
+        Ok(self.path.join(name))
     }
 
-    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+    pub(crate) fn write_checkpoint(&self, mut checkpoint: Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+        checkpoint.origin.clone_from(&self.inputs);
         self.write_together(CHECKPOINT, |out| checkpoint.write_together(out, owners))
     }
 
@@ -189,7 +227,7 @@ impl RunSession {
         let mut has_begun = false;
         let mut write = || {
             self.hold()?;
-            write_file(&self.path.join(name), |out| {
+            write_own(&self.path, name, |out| {
                 has_begun = true;
                 fill(out)
             })
@@ -204,13 +242,13 @@ impl RunSession {
     /// Writes the page, then the figures: complete figures are the sign of a finished run.
     pub(crate) fn write_results(&self, page: &str, metrics: &Metrics) -> Result<()> {
         self.hold()?;
-        write_text(&self.path.join(REPORT), page)?;
-        write_json(&self.path.join(METRICS), metrics)
+        write_own_text(&self.path, REPORT, page)?;
+        write_own_json(&self.path, METRICS, metrics)
     }
 
     /// The run has come to its end: its checkpoint is not needed any more.
     pub fn finish(&self) -> Result<()> {
-        remove_if_there(&self.path.join(CHECKPOINT))
+        remove_if_there(&self.path, CHECKPOINT)
     }
 }
 
@@ -236,14 +274,13 @@ fn remove_results(folder: &Path) -> Result<()> {
     // Their names are in the figures, which go first.
     let pictures = pictures(folder).into_iter().map(|name| Path::new(TEST).join(name));
     let files = RESULTS.into_iter().map(PathBuf::from).chain(pictures);
-    files.map(|file| folder.join(file)).try_for_each(|file| remove_if_there(&file))
+    files.into_iter().try_for_each(|file| remove_if_there(folder, file))
 }
 
 /// The names of a run's pictures, as far as its figures are known.
 fn pictures(run: &Path) -> Vec<String> {
     let Some(metrics) = Metrics::read(run) else { return Vec::new() };
-    let stays_below = |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-    names_of_pictures(&metrics.test_photos()).into_iter().filter(stays_below).collect()
+    names_of_pictures(&metrics.test_photos()).into_iter().filter(|name| is_file_name(name)).collect()
 }
 
 /// Of a checkpoint that is only looked at.
@@ -265,6 +302,14 @@ pub(crate) fn check_is_run(path: &Path) -> Result<()> {
         "{shown} is not the folder of a run: it has no config.toml; give one that train made"
     );
     Ok(())
+}
+
+/// Fails where something that is not ours stands at a name of a run's files: a link would be followed to a file of the
+/// user's, and a pipe waits for ever. Better now than when results are written.
+fn check_names(path: &Path) -> Result<()> {
+    let folders = FOLDERS.iter().map(|folder| Path::new(folder).join("file"));
+    let files = RESULTS.iter().chain(&[CONFIG, LOCK]).map(PathBuf::from);
+    files.chain(folders).try_for_each(|name| check_name(path, name))
 }
 
 /// Fails where `path` is no folder for a new run: it belongs to something else, or cannot be written to.
@@ -307,7 +352,7 @@ mod tests {
     use genesplat_core::Alone;
 
     use super::*;
-    use crate::LOG;
+    use crate::{LOG, failure};
 
     #[test]
     fn a_claim_keeps_others_out_and_makes_no_folder() {
@@ -329,6 +374,7 @@ mod tests {
             writes: true,
             lock: None.into(),
             config: String::new(),
+            inputs: String::new(),
         };
         let refused = { late }.begin("").unwrap_err().to_string();
         assert!(refused.contains("has written to"), "{refused}");
@@ -352,9 +398,31 @@ mod tests {
 
         let refused = RunSession::claim(&run, Caller::Train, false).unwrap_err().to_string();
         assert!(refused.contains("holds the results of a run"), "{refused}");
+        let left = run.join(SNAPSHOTS).join(".genesplat-4711-12.tmp");
+        fs::create_dir(run.join(SNAPSHOTS)).unwrap();
+        fs::write(&left, "half a splat").unwrap();
         RunSession::claim(&run, Caller::Demo, false).unwrap().begin("").unwrap();
+        assert!(!left.exists());
         assert!(ours.iter().chain(&[METRICS]).all(|name| !run.join(name).exists()));
         assert!(others.iter().all(|name| run.join(name).exists()));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_with_a_link_at_a_name_of_a_run_is_claimed_by_none() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        RunSession::claim(&run, Caller::Train, false).unwrap().begin("").unwrap();
+        fs::write(run.join(CHECKPOINT), "of a run").unwrap();
+        for name in RESULTS.iter().filter(|name| **name != CHECKPOINT).chain(&["test", "snapshots", "tensorboard"]) {
+            let _ = fs::remove_dir_all(run.join("tensorboard"));
+            fs::create_dir_all(run.join(name).parent().unwrap()).unwrap();
+            std::os::unix::fs::symlink(place.path(), run.join(name)).unwrap();
+            let refused = RunSession::claim(&run, Caller::Train, true).unwrap_err().to_string();
+            assert!(refused.contains(name) && refused.contains("is a link"), "{refused}");
+            fs::remove_file(run.join(name)).unwrap();
+        }
+        RunSession::claim(&run, Caller::Train, true).unwrap();
     }
 
     #[cfg(unix)]
@@ -378,7 +446,10 @@ mod tests {
         other.begin("two = 2").unwrap();
         assert!(save(&session).unwrap_err().to_string().contains("another run has begun there"));
         drop(other);
-        assert!(save(&session).unwrap_err().to_string().contains("another run has begun there"));
+        // The checkpoint is the other's, which nothing of this run goes on from.
+        fs::write(run.join(CHECKPOINT), "of the other").unwrap();
+        let taken = failure::explain(save(&session).unwrap_err(), &run, Caller::Train).to_string();
+        assert!(taken.ends_with("another run has begun there, so this one is not saved"), "{taken}");
         assert!(!run.join(CLOUD).exists());
     }
 }

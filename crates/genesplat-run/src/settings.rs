@@ -97,6 +97,8 @@ pub struct Training<'a> {
     pub out: &'a Path,
     /// Whether an interrupted run goes on.
     pub resumes: bool,
+    /// Whether it goes on with a scene that is not what it began with.
+    pub accepts_changes: bool,
     /// A file with settings.
     pub config: Option<&'a Path>,
     /// Or their text.
@@ -227,6 +229,9 @@ impl ConfigFile {
         file.check()?;
         if let Some(saved) = saved {
             file.check_goes_on_with(&saved, asked.out)?;
+            if !asked.accepts_changes {
+                photos::check_folders(&saved.dataset.path, &file.dataset.path)?;
+            }
         }
         Ok(file)
     }
@@ -318,7 +323,7 @@ impl ConfigFile {
                 shown(out.join(CONFIG))
             );
         }
-        photos::check_folders(&saved.dataset.path, &self.dataset.path)
+        Ok(())
     }
 }
 
@@ -346,10 +351,9 @@ impl Settings {
 }
 
 impl Settings {
-    /// All that the result of a run depends on, and when it is saved, but for the path of its scene and the machine.
+    /// All that the result of a run depends on, but for its scene and the kind of its device, as TOML.
     pub(crate) fn of_result(&self) -> String {
-        let config = self.schedule.config();
-        format!("{}\n{}", result_settings(&self.dataset, config), config.checkpoint_every)
+        result_settings(&self.dataset, self.schedule.config()).to_string()
     }
 }
 
@@ -409,6 +413,19 @@ fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
     let size = Dataset { path: "".into(), ..dataset.clone() };
     table.insert("dataset".into(), Value::Table(to_table(&size)));
     table
+}
+
+/// The first difference between what [`Settings::of_result`] was there and is here, if there is any.
+pub(crate) fn difference_of_results(there: &str, here: &str) -> Option<String> {
+    let table = |text: &str| {
+        let file = text.parse().and_then(ConfigFile::from_table)?;
+        Ok::<_, toml::de::Error>(result_settings(&file.dataset, &file.train))
+    };
+    match (table(there), table(here)) {
+        (Ok(there), Ok(here)) => first_difference(&there, &here),
+        (Err(error), _) => Some(format!("the settings there are of another version: {}", error.message())),
+        (_, Err(error)) => Some(format!("the settings here cannot be read back: {}", error.message())),
+    }
 }
 
 /// The first key, dotted, whose values differ, and both of them; `None` where the tables are the same.

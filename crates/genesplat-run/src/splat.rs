@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail, ensure};
 use genesplat_core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat_io::format::{self, Format, Loaded};
-use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, command_line, list_scene, shown};
+use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, SceneDigests, command_line, list_scene, shown};
 use genesplat_train::Background;
 
+use crate::inputs::{Inputs, notice_changes};
 use crate::output;
+use crate::preparing;
 use crate::scene;
 use crate::session::has_checkpoint;
 use crate::settings::{ConfigFile, Dataset, PhotosAsked};
@@ -22,6 +24,8 @@ pub struct Splat {
     pub settings: RenderSettings,
     /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
     trained_on: Option<Dataset>,
+    /// The folder of its run, and the scene that the run began with, as far as that is known.
+    began_with: Option<(PathBuf, SceneDigests)>,
 }
 
 impl Splat {
@@ -48,7 +52,11 @@ impl Splat {
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
-        scene::load_to_look(&dataset, divisor, self.settings.background)
+        let scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
+        // Photos of another folder are asked for as such.
+        let began_with = self.began_with.as_ref().filter(|_| asked.images.is_none());
+        began_with.into_iter().for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
+        Ok(scene)
     }
 
     /// The name of the view in `data` that is called `name`.
@@ -113,6 +121,7 @@ pub fn open_unchecked(path: &Path) -> Result<Splat> {
 }
 
 fn open_by(read: Read, path: &Path) -> Result<Splat> {
+    let _preparing = preparing::begin();
     ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
     if path.is_dir() { open_run(read, path) } else { open_file(read, path) }
 }
@@ -122,7 +131,12 @@ fn open_run(read: Read, folder: &Path) -> Result<Splat> {
     check_has_cloud(folder, &config)?;
     let settings = config.train.resolve()?.render_settings();
     let cloud = read_cloud(read, &folder.join(CLOUD))?.cloud;
-    Ok(Splat { cloud, settings, trained_on: Some(config.dataset) })
+    let inputs = Inputs::read(folder).unwrap_or_else(|error| {
+        output::tell(&format!("notice: {error}"));
+        None
+    });
+    let began_with = inputs.map(|inputs| (folder.to_owned(), inputs.scene));
+    Ok(Splat { cloud, settings, trained_on: Some(config.dataset), began_with })
 }
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
@@ -146,7 +160,7 @@ fn open_file(read: Read, path: &Path) -> Result<Splat> {
     let declared = loaded.screen_filter.unwrap_or_default();
     let filter = if loaded.cloud.filter_3d.is_some() { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: loaded.sh_degree, filter, ..RenderSettings::default() };
-    Ok(Splat { cloud: loaded.cloud, settings, trained_on: None })
+    Ok(Splat { cloud: loaded.cloud, settings, trained_on: None, began_with: None })
 }
 
 fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {

@@ -4,13 +4,13 @@
 //! number of a curve. The sources are TensorFlow's `record_writer.h` and `event.proto`. A session that begins makes readers
 //! forget what lies at its first iteration and beyond, so a resumed run goes on where its checkpoint is.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
+use std::fs::File;
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, anyhow};
-use genesplat_io::{input, shown};
+use genesplat_io::{input, own, shown};
 use genesplat_train::observe::LogRecord;
 
 use super::EVENTS;
@@ -36,10 +36,8 @@ impl TensorBoard {
     /// Opens the file in the folder of a run: anew, or behind its last whole record.
     pub(crate) fn open(folder: &Path, resumes: bool) -> Result<Self> {
         let path = folder.join(EVENTS);
-        let parent = path.parent().unwrap_or(folder);
-        fs::create_dir_all(parent).map_err(|error| unwritable(parent, &error))?;
         let whole = if resumes { whole_bytes(&path)? } else { 0 };
-        let file = open_behind(&path, whole).map_err(|error| unwritable(&path, &error))?;
+        let file = open_behind(folder, whole).map_err(|error| unwritable(&path, &error))?;
         let mut board = Self { folder: folder.to_owned(), path, writer: BufWriter::new(file) };
         if whole == 0 {
             board.write(0, &bytes_field(3, FILE_VERSION))?;
@@ -91,11 +89,10 @@ fn values(record: &LogRecord) -> (u32, Vec<(&'static str, f64)>) {
     }
 }
 
-/// The file, cut to so many bytes, at its end.
-fn open_behind(path: &Path, bytes: u64) -> io::Result<File> {
-    let mut file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
+/// The file in the folder of a run, cut to so many bytes, at its end.
+fn open_behind(folder: &Path, bytes: u64) -> io::Result<File> {
+    let file = own::append(folder, EVENTS)?;
     file.set_len(bytes)?;
-    file.seek(SeekFrom::End(0))?;
     Ok(file)
 }
 
@@ -159,6 +156,8 @@ fn float_field(number: u64, value: f32) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

@@ -13,12 +13,13 @@ use genesplat_train::scene::initialise::scene_extent;
 use genesplat_train::{Checkpoint, Outcome, RunSummary, Start, train};
 use genesplat_viewer::{LiveView, Phase};
 
+use super::inputs::Inputs;
 use super::log::Log;
 use super::metrics::{Metrics, PhaseSeconds};
 use super::session::{Caller, RunSession, read_checkpoint};
 use super::tensorboard::TensorBoard;
 use super::test_curve::TestCurve;
-use super::{CONFIG, LOG, TEST, failure, memory, photos};
+use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
 use crate::output;
@@ -46,6 +47,8 @@ pub struct Run<'a> {
     pub tensorboard: bool,
     /// The processes of the run, if there are several.
     pub cluster: Option<&'a Cluster>,
+    /// Whether a resumed run goes on with a scene that is not what it began with.
+    pub accepts_changes: bool,
     /// When its work began: loading counts.
     pub began: Instant,
 }
@@ -80,11 +83,14 @@ impl Run<'_> {
         ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
     }
 
-    fn check(&self, session: &RunSession) -> Result<Device> {
+    fn check(&self, session: &mut RunSession) -> Result<Device> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
+        let mut now = Inputs::of(self.settings, self.scene);
         if session.resumes() {
-            photos::check(session.path(), self.scene)?;
+            let (name, caller) = (&self.scene.name, session.caller());
+            inputs::check_goes_on(session.path(), &mut now, name, caller, self.accepts_changes)?;
         }
+        session.set_inputs(&now);
         scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
         self.cluster.map_or_else(|| device::open(self.settings.device), |cluster| Ok(cluster.backend()))
     }
@@ -126,7 +132,7 @@ impl Run<'_> {
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
         let owners = cluster::owners(self.cluster);
-        let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(&saved, owners));
+        let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(*saved, owners));
         session.write_cloud(&cloud, schedule.render_settings().filter, owners)?;
         saved?;
         drop(cloud);
@@ -150,7 +156,7 @@ impl Run<'_> {
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
             let checkpoint = summary.checkpoint_at_end(device.as_mut())?;
-            session.write_checkpoint(&checkpoint, cluster::owners(self.cluster))?;
+            session.write_checkpoint(checkpoint, cluster::owners(self.cluster))?;
             return Ok(Ended::Unscored);
         };
         let seconds = PhaseSeconds {
@@ -221,13 +227,12 @@ impl Run<'_> {
             false => (&self.scene.train[..], self.lpips.filter(|_| session.writes()), self.stop),
         };
         let settings = self.settings.schedule.render_settings();
-        let pictures = session.path().join(TEST);
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
         let mut score = |views: &[View], folder: Option<&Path>| {
             let bar = bar("scores", 0, views.len() as u64);
             evaluate_until(stop, device, views, &settings, lpips, folder, bar)
         };
-        let Some(test) = score(&self.scene.test, session.writes().then_some(&*pictures))? else { return Ok(None) };
+        let Some(test) = score(&self.scene.test, session.writes().then_some(session.path()))? else { return Ok(None) };
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 

@@ -1,13 +1,13 @@
 //! The `genesplat` command.
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
-//! poses, refine, render and demo).
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM.
 
 mod args;
 mod blocks;
 mod commands;
 mod inspect;
 mod poses;
+mod programs;
 mod sharpness;
 mod unpacked;
 

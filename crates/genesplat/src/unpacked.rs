@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::{self, Unpacked};
 use genesplat::io::{CONVERT, atomic, input, shown};
-use genesplat::run::files::{remove_leftovers, write_json};
+use genesplat::run::files::{remove_leftovers_below, write_own_json};
 use genesplat::run::lock::Lock;
 use genesplat::run::output;
 use serde::{Deserialize, Serialize};
@@ -42,15 +42,15 @@ pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
             shown(archive)
         ),
     }
-    write_json(&file, &record(false))?;
+    write_own_json(folder, RECORD, &record(false))?;
     let _lock = Lock::take(folder)?;
-    remove_leftovers(folder);
+    remove_leftovers_below(folder);
     let Unpacked { files, unread } = archive::unpack(archive, folder)?;
     output::tell(&format!("{files} files of {} are unpacked into {}", shown(archive), shown(folder)));
     if let Some(first) = unread.first() {
         tell_of_unread(unread.len(), &shown(first).to_string());
     }
-    write_json(&file, &record(true))
+    write_own_json(folder, RECORD, &record(true))
 }
 
 /// Whether nothing is in a folder but what a process has left that was killed while it wrote.

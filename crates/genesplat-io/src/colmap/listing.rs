@@ -38,7 +38,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
     };
     let photos = photos.into_iter().map(listed).collect::<Result<_, SceneError>>()?;
     let points_file = points_file(folder);
-    Ok(Listing { photos, points: model.points, points_file, cube: None, notices })
+    Ok(Listing { photos, points: model.points, points_digest: None, points_file, cube: None, notices })
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use super::check::bad_camera;
 use crate::error::SceneError;
+use crate::listing::coefficients_problem;
 use crate::photos::{Lens, Polynomial, Projection};
 
 /// Names by id, and how many parameters each has.
@@ -44,8 +45,8 @@ pub(super) fn parameters(
         return Err(bad_camera(file, camera, problem));
     }
     let (pinhole, coefficients) = pinhole_and_rest(model, parameters);
-    if !coefficients.iter().all(|value| value.is_finite()) {
-        return Err(bad_camera(file, camera, "has distortion coefficients that are not finite"));
+    if let Some(problem) = coefficients_problem(coefficients) {
+        return Err(bad_camera(file, camera, problem));
     }
     let lens = Lens { projection: projection(model, coefficients), polynomial: polynomial(model, coefficients) };
     Ok((pinhole, (!lens.is_pinhole()).then_some(lens)))

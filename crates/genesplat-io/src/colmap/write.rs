@@ -6,15 +6,15 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use super::{Form, ImageRecord, Model, models};
-use crate::atomic::write_atomically;
+use crate::own;
 
 /// Writes the three files of `model` into `folder`, which is made if it is missing. Ids of photos and points are their
 /// 1-based places. Every bit is kept. A lens that none of COLMAP's models can say is an error.
 pub fn write_model(folder: &Path, model: &Model) -> io::Result<()> {
-    let file = |stem| Form::Binary.file(folder, stem);
-    write_atomically(&file("cameras"), |out| cameras(out, model))?;
-    write_atomically(&file("images"), |out| images(out, model))?;
-    write_atomically(&file("points3D"), |out| points(out, model))
+    let file = |stem| Form::Binary.file(Path::new(""), stem);
+    own::write(folder, file("cameras"), |out| cameras(out, model))?;
+    own::write(folder, file("images"), |out| images(out, model))?;
+    own::write(folder, file("points3D"), |out| points(out, model))
 }
 
 fn put_f64s(out: &mut impl Write, values: impl IntoIterator<Item = f64>) -> io::Result<()> {

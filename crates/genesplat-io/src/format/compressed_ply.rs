@@ -19,7 +19,7 @@ use super::packing::{
     byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, rgb_from_dc,
     smallest_three, word,
 };
-use super::{Decoded, FormatError, Options};
+use super::{Decoded, FormatError, Options, ensure_memory};
 use crate::ply::{Element, filter_comments, preamble, screen_filter};
 
 const CHUNK_ROWS: usize = 256;
@@ -192,6 +192,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     // A row of these properties has bytes, so there are no more rows than bytes.
     let packed = vertex.offsets(PACKED.map(str::to_owned), "uint")?;
     let ranges = chunk_ranges(chunk)?;
+    ensure_memory(path, 1, rows)?;
     let mut cloud = Gaussians::zeros(rows);
     unpack(&mut cloud, &ranges, vertex, packed);
     let mut sh_degree = 0;

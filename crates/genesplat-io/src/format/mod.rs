@@ -28,14 +28,14 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
-use genesplat_core::{Gaussians, ScreenFilter};
+use genesplat_core::{Gaussians, ScreenFilter, memory};
 
 pub use error::FormatError;
 pub use spz::SpzVersion;
 
 use crate::atomic::write_atomically;
 use crate::input;
-use crate::ply::{self, PlyHeader, PlyOptions, check_finite, read_ply_with_header, write_ply};
+use crate::ply::{self, PlyError, PlyHeader, PlyOptions, check_finite, read_ply_with_header, write_ply};
 
 /// A file format of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -94,7 +94,7 @@ impl Format {
 /// A splat that was read.
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// The Gaussians; all values are finite, unless [`read_unchecked`] has read them.
+    /// The Gaussians; all values can be used, unless [`read_unchecked`] has read them.
     pub cloud: Gaussians,
     /// What the file is.
     pub format: Format,
@@ -140,7 +140,8 @@ impl From<(PlyHeader, Gaussians)> for Decoded {
 }
 
 /// Reads a splat of any format. Infinite opacities, as converters write them for an alpha of 255, become opaque and
-/// transparent, and a log-scale of minus infinity is one of a scale of 0; other values that are not finite are errors.
+/// transparent, and a log-scale of minus infinity is one of a scale of 0; other values that are not finite are errors, and
+/// so are values that overflow where they are used.
 pub fn read(path: &Path) -> Result<Loaded, FormatError> {
     checked(path, read_unchecked(path)?)
 }
@@ -233,19 +234,29 @@ pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Option
         Format::Splat => Ok(splat::encode(&baked()?)),
         Format::Spz => spz::encode(path, &baked()?, options),
         Format::Sog => sog::encode(path, &baked()?, options),
-        Format::Glb => glb::encode(path, &baked()?),
+        Format::Glb => glb::encode(path, baked()?),
     }
 }
 
 /// The cloud without a 3D filter, up to the degree that is asked for.
 fn baked(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Gaussians, FormatError> {
+    if let Some(fault) = ply::faults(cloud).next() {
+        let problem = format!("would hold a Gaussian that cannot be shown: {fault}; leave it out");
+        return Err(FormatError::unsupported(path, problem));
+    }
+    // This one, another in the order of the file, and its bytes.
+    ensure_memory(path, 3, cloud.len())?;
     let mut baked = cloud.fused();
     limit_sh_degree(&mut baked, options.sh_degree.min(SH_DEGREE_MAX));
-    let first = ply::faults(&baked).next();
-    first.map_or(Ok(baked), |fault| {
-        let problem = format!("would hold a Gaussian that cannot be shown: {fault}; leave it out");
-        Err(FormatError::unsupported(path, problem))
-    })
+    ply::away_from_faults(&mut baked);
+    Ok(baked)
+}
+
+/// Fails where there is no room for so many clouds of so many Gaussians.
+fn ensure_memory(path: &Path, clouds: usize, gaussians: usize) -> Result<(), FormatError> {
+    let bytes = gaussians.saturating_mul(clouds * Gaussians::BYTES_PER_ROW);
+    let there = memory::ensure_memory(bytes, "Gaussians");
+    there.map_err(|_| PlyError::Memory { path: path.to_owned(), bytes: bytes as u64 }.into())
 }
 
 fn ply_options(options: &Options) -> PlyOptions {
@@ -257,11 +268,12 @@ fn ply_options(options: &Options) -> PlyOptions {
 /// bytes for the 236 of a Gaussian.
 const EXPANSION: [u64; 2] = [1 << 28, 1 << 6];
 
-/// Fails where a compressed file claims more Gaussians than its size makes likely.
+/// Fails where a compressed file claims more Gaussians than its size makes likely, or than there is memory for.
 fn check_claim(path: &Path, gaussians: u64, file_bytes: usize) -> Result<(), FormatError> {
     let most = EXPANSION[1].saturating_mul(file_bytes as u64).saturating_add(EXPANSION[0]);
     if gaussians.saturating_mul(Gaussians::BYTES_PER_ROW as u64) <= most {
-        return Ok(());
+        // And as much for what they are made of.
+        return ensure_memory(path, 2, usize::try_from(gaussians).unwrap_or(usize::MAX));
     }
     Err(FormatError::damaged(
         path,

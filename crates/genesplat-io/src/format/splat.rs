@@ -9,7 +9,7 @@ use genesplat_core::Gaussians;
 use genesplat_core::gaussians::sigmoid;
 
 use super::packing::{byte, dc_from_byte, log_scale, normalised, opacity_logit, rgb_from_dc, scale};
-use super::{Decoded, FormatError};
+use super::{Decoded, FormatError, ensure_memory};
 
 const ROW_BYTES: usize = 32;
 
@@ -30,6 +30,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
         let problem = format!("holds {} bytes, which are no whole rows of {ROW_BYTES} as .splat has them", bytes.len());
         return Err(FormatError::damaged(path, problem));
     };
+    ensure_memory(path, 1, rows.len())?;
     let mut cloud = Gaussians::zeros(rows.len());
     for (row, bytes) in rows.iter().enumerate() {
         let float = |i: usize| f32::from_le_bytes(std::array::from_fn(|k| bytes[4 * i + k]));

@@ -7,6 +7,8 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use image_webp::WebPDecoder;
 
+use crate::digest::Digest;
+
 /// Most pixels of a photo: a few damaged bytes must not claim all memory.
 const PIXELS_MAX: u64 = 1 << 28;
 /// Four channels of 16 bits.
@@ -80,6 +82,10 @@ impl Encoded {
         drop(decoder);
         let encoded = Self { bytes, format, width, height, decoded_bytes, turn: None };
         encoded.check_pixels().map(|()| encoded)
+    }
+
+    pub(super) fn digest(&self) -> Digest {
+        Digest::of(&self.bytes)
     }
 
     /// The same, turned upright if its tag says how.

@@ -50,6 +50,20 @@ impl Lens {
         *self == Self::default()
     }
 
+    /// All that it is: which projection, and the coefficients.
+    pub(crate) fn numbers(&self) -> Vec<f64> {
+        let projection = match self.projection {
+            Projection::Perspective => [0.0; 3],
+            Projection::Fisheye => [1.0, 0.0, 0.0],
+            Projection::FieldOfView { omega } => [2.0, omega, 0.0],
+            Projection::Division { k } => [3.0, k, 0.0],
+            Projection::EnhancedUnified { alpha, beta } => [4.0, alpha, beta],
+        };
+        let Polynomial { radial, divisor, tangential, prism, radial_first } = self.polynomial;
+        let order = [f64::from(u8::from(radial_first))];
+        [&projection[..], &radial, &divisor, &tangential, prism.as_flattened(), &order].concat()
+    }
+
     /// Where the lens shows the point `(x, y)` of the pinhole's image plane; not finite where it shows it nowhere.
     pub(crate) fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let factor = self.projection.factor((x * x + y * y).sqrt());

@@ -23,7 +23,11 @@ impl PhotoMask {
     /// What the picture at `path` leaves: all that is not black, as COLMAP and nerfstudio have it. What a lossy file has made of
     /// black is darker than grey.
     pub(crate) fn open(path: &Path) -> Result<Self, PhotoError> {
-        let encoded = EncodedPhoto::open(path)?;
+        EncodedPhoto::open(path).and_then(Self::of)
+    }
+
+    /// The same of a file that is read.
+    pub(crate) fn of(encoded: EncodedPhoto) -> Result<Self, PhotoError> {
         let _room = encoded.wait_for_room();
         let least = if encoded.encoded.is_lossy() { 128 } else { 1 };
         let photo = encoded.decode_on_black()?;

@@ -34,7 +34,8 @@ pub use upright::{Turn, turn_of, write_mask, write_upright};
 
 use self::decode::Encoded;
 use crate::atomic::write_atomically;
-use crate::{input, shown};
+use crate::digest::Digest;
+use crate::{input, own, shown};
 
 /// Why a photo could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -93,6 +94,11 @@ impl EncodedPhoto {
     /// Width and height, px, as the header claims them.
     pub fn size(&self) -> (u32, u32) {
         (self.encoded.width, self.encoded.height)
+    }
+
+    /// That of its file.
+    pub(crate) fn digest(&self) -> Digest {
+        self.encoded.digest()
     }
 
     /// The lens that took it; `None` where its EXIF data have no focal length.
@@ -177,14 +183,26 @@ pub fn photo_size(path: &Path) -> Result<(u32, u32), PhotoError> {
     reader.into_dimensions().map_err(|error| PhotoError::Decode { path: path.to_owned(), reason: error.to_string() })
 }
 
-/// Writes `photo` as a PNG, whole or not at all.
+/// Writes `photo` as a PNG, whole or not at all, to a path that the user has given.
 pub fn write_png(path: &Path, photo: &Photo) -> Result<(), PhotoError> {
     let write = |source| PhotoError::Write { path: path.to_owned(), source };
+    let bytes = png_bytes(photo).map_err(write)?;
+    write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
+}
+
+/// The same to `name` in `folder`, a name of ours ([`crate::own`]).
+pub fn write_own_png(folder: &Path, name: impl AsRef<Path>, photo: &Photo) -> Result<(), PhotoError> {
+    let write = |source| PhotoError::Write { path: folder.join(&name), source };
+    let bytes = png_bytes(photo).map_err(write)?;
+    own::write(folder, &name, |out| out.write_all(&bytes)).map_err(write)
+}
+
+fn png_bytes(photo: &Photo) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     image::codecs::png::PngEncoder::new(&mut bytes)
         .write_image(&photo.rgb, photo.width, photo.height, ColorType::Rgb8.into())
-        .map_err(|error| write(io::Error::other(error)))?;
-    write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
+        .map_err(io::Error::other)?;
+    Ok(bytes)
 }
 
 /// `photo` as a JPEG of `quality` 1 to 100, for pages and previews.

@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageEncoder, ImageError, ImageFormat, ImageResult};
 
 use super::decode::is_sideways;
 use super::{EncodedPhoto, PhotoError, PhotoMask};
-use crate::atomic::write_atomically;
+use crate::own;
 
 /// Of a JPEG that is written anew: no loss that training sees.
 const QUALITY: u8 = 97;
@@ -24,9 +24,9 @@ pub fn turn_of(path: &Path) -> Option<Turn> {
     EncodedPhoto::open(path).ok()?.encoded.tag().map(Turn)
 }
 
-/// The photo at `from`, upright, at `to`: a JPEG if it was one, else a PNG with its transparency and its depth. Its EXIF data
+/// The photo at `from`, upright, as `name` in `folder`: a JPEG if it was one, else a PNG with its transparency and its depth. Its EXIF data
 /// come along. Whole or not at all.
-pub fn write_upright(from: &Path, to: &Path) -> Result<(), PhotoError> {
+pub fn write_upright(from: &Path, (folder, name): (&Path, &Path)) -> Result<(), PhotoError> {
     let EncodedPhoto { path, encoded } = EncodedPhoto::open(from)?;
     let (format, mut exif) = (encoded.format(), encoded.exif().unwrap_or_default());
     let photo = EncodedPhoto { path, encoded: encoded.upright() };
@@ -39,9 +39,9 @@ pub fn write_upright(from: &Path, to: &Path) -> Result<(), PhotoError> {
         ImageFormat::Jpeg => encode(JpegEncoder::new_with_quality(&mut bytes, QUALITY), &image, exif),
         _ => encode(PngEncoder::new(&mut bytes), &image, exif),
     };
-    let write = |source| PhotoError::Write { path: to.to_owned(), source };
+    let write = |source| PhotoError::Write { path: folder.join(name), source };
     encoded.map_err(|error| write(io::Error::other(error)))?;
-    write_atomically(to, |out| out.write_all(&bytes)).map_err(write)
+    own::write(folder, name, |out| out.write_all(&bytes)).map_err(write)
 }
 
 fn encode(mut encoder: impl ImageEncoder, image: &DynamicImage, exif: Vec<u8>) -> ImageResult<()> {
@@ -51,9 +51,14 @@ fn encode(mut encoder: impl ImageEncoder, image: &DynamicImage, exif: Vec<u8>) -
     image.write_with_encoder(encoder)
 }
 
-/// The mask at `from` as a PNG of black and white at `to`, turned as its photo, whose file has `photo` px. A mask that is
+/// The mask at `from` as a PNG of black and white, `name` in `folder`, turned as its photo, whose file has `photo` px. A mask that is
 /// as large as the upright photo stays as it is.
-pub fn write_mask(from: &Path, to: &Path, photo: [u32; 2], turn: Option<Turn>) -> Result<(), PhotoError> {
+pub fn write_mask(
+    from: &Path,
+    (folder, name): (&Path, &Path),
+    photo: [u32; 2],
+    turn: Option<Turn>,
+) -> Result<(), PhotoError> {
     let mask = PhotoMask::open(from)?;
     let [width, height] = mask.size;
     let is_upright = |Turn(tag): &Turn| is_sideways(*tag) && [height, width] == photo && width != height;
@@ -61,16 +66,18 @@ pub fn write_mask(from: &Path, to: &Path, photo: [u32; 2], turn: Option<Turn>) -
     let levels = image::GrayImage::from_raw(width, height, levels).expect("a mask has a value for each pixel");
     let mut image = DynamicImage::from(levels);
     turn.filter(|turn| !is_upright(turn)).into_iter().for_each(|Turn(tag)| image.apply_orientation(tag));
-    let write = |source| PhotoError::Write { path: to.to_owned(), source };
+    let write = |source| PhotoError::Write { path: folder.join(name), source };
     let mut bytes = Vec::new();
     encode(PngEncoder::new(&mut bytes), &image, Vec::new()).map_err(|error| write(io::Error::other(error)))?;
-    write_atomically(to, |out| out.write_all(&bytes)).map_err(write)
+    own::write(folder, name, |out| out.write_all(&bytes)).map_err(write)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::photos::{Photo, encode_jpeg, photo_size, read_photo, write_png};
+
+    const TO: &str = "b/a.jpg";
 
     /// Black but for a white corner, the left upper one.
     fn corner(width: u32, height: u32) -> Photo {
@@ -95,12 +102,12 @@ mod tests {
     #[test]
     fn a_photo_with_a_tag_is_written_upright_with_its_other_tags() {
         let place = tempfile::tempdir().unwrap();
-        let [from, to] = ["a.jpg", "b/a.jpg"].map(|name| place.path().join(name));
+        let [from, to] = ["a.jpg", TO].map(|name| place.path().join(name));
         let jpeg = encode_jpeg(&corner(32, 16), 95);
         for (orientation, size, [x, y]) in [(6, (16, 32), [15, 0]), (3, (32, 16), [31, 15]), (8, (16, 32), [0, 31])] {
             std::fs::write(&from, tagged(&jpeg, orientation)).unwrap();
             assert!(turn_of(&from).is_some());
-            write_upright(&from, &to).unwrap();
+            write_upright(&from, (place.path(), Path::new(TO))).unwrap();
             let (photo, turn) = (read_photo(&to).unwrap(), turn_of(&to));
             assert_eq!((photo.width, photo.height), size);
             assert!(is_white(&photo, x, y) && turn.is_none(), "{orientation}");
@@ -114,11 +121,11 @@ mod tests {
     #[test]
     fn a_mask_is_turned_with_its_photo_unless_it_is_upright() {
         let place = tempfile::tempdir().unwrap();
-        let [lying, upright, to] = ["lying.png", "upright.png", "to.png"].map(|name| place.path().join(name));
+        let [lying, upright, to] = ["lying.png", "upright.png", TO].map(|name| place.path().join(name));
         write_png(&lying, &corner(32, 16)).unwrap();
         write_png(&upright, &corner(16, 32)).unwrap();
         for (from, x) in [(lying, 15), (upright, 0)] {
-            write_mask(&from, &to, [32, 16], Some(Turn(Orientation::Rotate90))).unwrap();
+            write_mask(&from, (place.path(), Path::new(TO)), [32, 16], Some(Turn(Orientation::Rotate90))).unwrap();
             assert_eq!(photo_size(&to).unwrap(), (16, 32));
             let mask = read_photo(&to).unwrap();
             assert!(is_white(&mask, x, 0) && !is_white(&mask, 15 - x, 0));

@@ -26,6 +26,18 @@ pub enum PlyError {
         /// Why.
         source: io::Error,
     },
+    /// More Gaussians than there is memory for.
+    #[error(
+        "out of memory: {bytes} more bytes are not to be had for the Gaussians of {}; end other programs, or raise the limit of \
+         this process (ulimit -v)",
+        shown(.path)
+    )]
+    Memory {
+        /// The file.
+        path: PathBuf,
+        /// Bytes asked for.
+        bytes: u64,
+    },
     /// Not a PLY file, or a header that breaks the format's grammar.
     #[error(
         "{} is not a PLY file that genesplat can read: {problem}; export it again as binary little-endian PLY",

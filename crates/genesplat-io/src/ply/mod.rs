@@ -21,11 +21,11 @@ use std::ops::Range;
 use std::path::Path;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
-use genesplat_core::{Gaussians, ScreenFilter};
+use genesplat_core::{Gaussians, ScreenFilter, memory};
 
 pub use error::PlyError;
-pub(crate) use fault::faults;
 pub use fault::{Fault, leave_out_faults};
+pub(crate) use fault::{away_from_faults, faults};
 use header::Encoding;
 pub use header::PlyHeader;
 pub(crate) use header::{Element, filter_comments, preamble, screen_filter};
@@ -64,6 +64,7 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
 /// The same from the `size` bytes of `reader`; `path` is named in errors.
 pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Result<(PlyHeader, Gaussians), PlyError> {
     let (header, mut rest) = parse_header(path, reader, size)?;
+    ensure_memory(header.gaussians, path)?;
     let cloud = rows::read(&header, &mut rest, path)?;
     Ok((header, cloud))
 }
@@ -76,7 +77,7 @@ pub(crate) fn is_compressed(path: &Path) -> Result<bool, PlyError> {
     Ok(elements.iter().any(is_packed))
 }
 
-/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or a position too far away.
+/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or overflows where it is used.
 pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
     match faults(cloud).next() {
         None => Ok(()),
@@ -102,7 +103,8 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
     written.map_err(|source| PlyError::Write { path: path.to_owned(), source })
 }
 
-pub(crate) fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
+/// The bytes of the file, for who has opened it.
+pub fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
     out.write_all(header_bytes(cloud.len(), cloud.filter_3d.is_some(), options).as_slice())?;
     rows::write(cloud, 0..cloud.len(), options.sh_degree, out)
 }
@@ -165,6 +167,16 @@ fn trailing(path: &Path, promised: u64) -> PlyError {
     );
     PlyError::Rows { path: path.to_owned(), problem }
 }
+
+/// Fails where there is no room for so many Gaussians.
+fn ensure_memory(gaussians: u64, path: &Path) -> Result<(), PlyError> {
+    let bytes = gaussians.saturating_mul(BYTES_PER_GAUSSIAN as u64);
+    let there = memory::ensure_memory(usize::try_from(bytes).unwrap_or(usize::MAX), "Gaussians");
+    there.map_err(|_| PlyError::Memory { path: path.to_owned(), bytes })
+}
+
+/// With a 3D filter.
+const BYTES_PER_GAUSSIAN: usize = Gaussians::BYTES_PER_ROW + size_of::<f32>();
 
 fn read_error(path: &Path, source: io::Error) -> PlyError {
     PlyError::Read { path: path.to_owned(), source }

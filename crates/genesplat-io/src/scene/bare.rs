@@ -1,9 +1,11 @@
 //! Photos and videos without cameras, which are not scenes yet.
 
+use std::iter;
 use std::path::{Path, PathBuf};
 
 use crate::error::SceneError;
 use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, entries, has_ending};
+use crate::visited::Visited;
 use crate::{command_line, plural, shown};
 
 const ARCHIVES: [&str; 5] = ["tar", "gz", "tgz", "7z", "rar"];
@@ -53,7 +55,9 @@ pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
     if path.is_file() {
         return has_ending(path, &VIDEO_ENDINGS).then(|| "is a video".to_owned()).and_then(no_cameras);
     }
-    let folders: Vec<PathBuf> = entries(path).filter(|entry| entry.is_dir()).chain([path.to_owned()]).collect();
+    let (own, mut visited) = (path.to_owned(), Visited::default());
+    let folders = iter::once(own).chain(entries(path).filter(|entry| entry.is_dir()));
+    let folders: Vec<PathBuf> = folders.filter(|folder| visited.is_new(folder)).collect();
     let pictures = |endings: &[&str]| -> usize {
         folders.iter().map(|folder| entries(folder).filter(|entry| has_ending(entry, endings)).count()).sum()
     };

@@ -2,6 +2,7 @@
 
 mod bare;
 pub mod blocks;
+mod digests;
 mod listed;
 mod masks;
 mod place;
@@ -18,16 +19,18 @@ use std::path::{Path, PathBuf};
 use genesplat_core::View;
 use rayon::prelude::*;
 
+pub use digests::{PhotoDigests, SceneDigests};
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use masks::{MaskUse, mask_of};
 pub(crate) use random_points::Cube;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
+use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
-use crate::{colmap, plural, shown, transforms};
+use crate::{colmap, input, plural, shown, transforms};
 use view::{Keeper, Loaded, Pinholes};
 
 /// A point of a reconstruction.
@@ -52,6 +55,8 @@ pub struct Scene {
     pub points: Vec<Point>,
     /// Files of the photos, which must not be written over; empty for a scene that is not from a disk.
     pub photos: Vec<PathBuf>,
+    /// What tells whether the scene is still what it was.
+    pub digests: SceneDigests,
     /// What the user should know: one sentence each.
     pub notices: Vec<String>,
 }
@@ -151,7 +156,7 @@ pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgres
     }
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
-    let [train, test] = load_views([&train, &test], options, progress, &mut notices)?;
+    let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
     if train.is_empty() {
         return Err(SceneError::invalid(
             path,
@@ -159,16 +164,17 @@ pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgres
             photo does not count",
         ));
     }
-    Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, notices })
+    let digests = SceneDigests::of(digests, listing.points_digest);
+    Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, digests, notices })
 }
 
-/// The views of training and test photos; those of which nothing counts are left out.
+/// The views of training and test photos; those of which nothing counts are left out. And the digests of all of them.
 fn load_views(
     photos: [&[ListedPhoto]; 2],
     options: &LoadOptions,
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
-) -> Result<[Vec<View>; 2], SceneError> {
+) -> Result<([Vec<View>; 2], [Vec<PhotoDigests>; 2]), SceneError> {
     let (pinholes, keeper) = (Pinholes::default(), Keeper::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
         photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &keeper, progress)).collect()
@@ -191,7 +197,25 @@ fn load_views(
         let views = loaded.into_iter().map(|loaded| loaded.view);
         views.filter(|view| view.counted_pixels() > 0).collect()
     };
-    Ok(loaded.map(seen))
+    let digests = [0, 1].map(|part| loaded[part].iter().map(|loaded| loaded.digests.clone()).collect());
+    Ok((loaded.map(seen), digests))
+}
+
+/// The digests of [`load_scene`] alone: files are read, and not decoded.
+pub fn scene_digests(path: &Path, options: &LoadOptions) -> Result<SceneDigests, SceneError> {
+    let listing = list(path, options)?;
+    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let of = |photos: &[ListedPhoto]| photos.par_iter().map(digests_of).collect::<Result<Vec<_>, _>>();
+    Ok(SceneDigests::of([of(&train)?, of(&test)?], listing.points_digest))
+}
+
+fn digests_of(listed: &ListedPhoto) -> Result<PhotoDigests, SceneError> {
+    let digest = |file: &Path| {
+        let bytes = input::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+        Ok::<_, SceneError>(Digest::of(&bytes))
+    };
+    let mask = listed.mask.as_deref().map(digest).transpose()?;
+    Ok(PhotoDigests::of(listed, digest(&listed.path)?, mask))
 }
 
 /// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.
@@ -245,6 +269,7 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
     listing.check_not_shared()?;
     listing.name_views()?;
     listing.notices.extend(stray::notice(&listing));
+    listing.points_digest = options.with_points.then(|| digests::of_points(&listing.points));
     if options.with_points && listing.points.is_empty() {
         listing.draw_points(options.seed);
     }

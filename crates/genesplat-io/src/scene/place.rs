@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::colmap;
 use crate::similar::{entries, is_transforms};
+use crate::visited::Visited;
 
 /// How far up or down a scene may be: from `colmap/sparse/0/images.bin`.
 const LEVELS: usize = 4;
@@ -29,9 +30,11 @@ fn above(path: &Path) -> Option<PathBuf> {
 
 /// An archive may hold a folder that holds the scene, or some, one in the other; COLMAP's workspace has one in `dense/0`.
 fn below(path: &Path) -> Option<PathBuf> {
-    let mut level = vec![path.to_owned()];
+    let (mut level, mut visited) = (vec![path.to_owned()], Visited::default());
+    visited.is_new(path);
     for _ in 0..LEVELS {
-        level = level.iter().flat_map(|folder| entries(folder)).filter(|inner| inner.is_dir()).take(FOLDERS).collect();
+        let inner = level.iter().flat_map(|folder| entries(folder)).filter(|inner| inner.is_dir());
+        level = inner.filter(|inner| visited.is_new(inner)).take(FOLDERS).collect();
         let mut scenes = level.iter().filter(|folder| is_scene(folder));
         if let Some(scene) = scenes.next() {
             return scenes.next().is_none().then(|| scene.clone());

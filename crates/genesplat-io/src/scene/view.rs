@@ -7,7 +7,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use genesplat_core::{Camera, Mask, Photo, StoredPhoto, View};
 use glam::{DQuat, DVec3};
 
-use super::{LoadOptions, LoadProgress, MaskUse};
+use super::{LoadOptions, LoadProgress, MaskUse, PhotoDigests};
+use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
 use crate::photos::{self, EncodedPhoto, Lens, PhotoFile, PhotoMask};
@@ -21,6 +22,7 @@ pub(super) struct Loaded {
     pub(super) view: View,
     pub(super) is_masked: bool,
     pub(super) is_transparent: bool,
+    pub(super) digests: PhotoDigests,
 }
 
 /// Pinholes that were found, by the camera without its pose, and its lens: photos of one camera share theirs.
@@ -90,11 +92,15 @@ pub(super) fn load(
     keeper: &Keeper,
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
-    let photo = EncodedPhoto::open(&listed.path)?.turned_like(listed.camera.width, listed.camera.height);
+    let photo = EncodedPhoto::open(&listed.path)?;
+    let digest = photo.digest();
+    let photo = photo.turned_like(listed.camera.width, listed.camera.height);
     let size = photo.size();
     let frame = Frame::of(listed, size, options, pinholes)?;
     // Before the room of the photo is taken: it has a room of its own.
     let mask = listed.mask.as_deref().map(|file| open_mask(file, size.into())).transpose()?;
+    let (mask, mask_digest) = mask.unzip();
+    let digests = PhotoDigests::of(listed, digest, mask_digest);
     // Whatever follows runs on this thread alone.
     let _room = photo.wait_for_room();
     let (mut photo, opaque) = photo.decode_with_opaque(options.background)?;
@@ -112,7 +118,7 @@ pub(super) fn load(
         // One that hides nothing is none.
         mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
     };
-    Ok(Loaded { view, is_masked, is_transparent })
+    Ok(Loaded { view, is_masked, is_transparent, digests })
 }
 
 /// What a photo is taken to: straight lines, and the size that is asked for.
@@ -174,15 +180,17 @@ fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse)
     }
 }
 
-/// The mask in `file`, at the size of its photo. Scenes that ship reduced photos may have masks of the original ones.
-fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<PhotoMask, SceneError> {
-    let mask = PhotoMask::open(file)?;
+/// The mask in `file`, at the size of its photo, and the digest of the file. Scenes that ship reduced photos may have masks of the original ones.
+fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<(PhotoMask, Digest), SceneError> {
+    let encoded = EncodedPhoto::open(file)?;
+    let digest = encoded.digest();
+    let mask = PhotoMask::of(encoded)?;
     let ([width, height], [photo_width, photo_height]) = (mask.size(), of_photo);
     if mask.size() == of_photo {
-        return Ok(mask);
+        return Ok((mask, digest));
     }
     if is_same_shape(mask.size(), of_photo) {
-        return Ok(mask.resized(of_photo));
+        return Ok((mask.resized(of_photo), digest));
     }
     let advice =
         if is_same_shape([height, width], of_photo) { "turn it as its photo" } else { "make it as large as its photo" };

@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::schema::{OptionalIntrinsics, PhotoEntry};
 use crate::error::SceneError;
-use crate::listing::{bad_pose, intrinsics_problem, position_problem};
+use crate::listing::{bad_pose, coefficients_problem, intrinsics_problem, position_problem};
 use crate::photos::{self, Lens, Polynomial, Projection};
 
 /// The camera of `entry`, and its lens; `photo` is asked for its size where the file does not say it.
@@ -34,7 +34,10 @@ pub(super) fn camera(
     let fx = fx.ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
     let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height)).unwrap_or(fx);
     let principal_px = [intrinsics.cx.unwrap_or(0.5 * width), intrinsics.cy.unwrap_or(0.5 * height)];
-    if let Some(problem) = intrinsics_problem([width, height], [fx, fy], principal_px) {
+    let coefficients = [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4, intrinsics.p1, intrinsics.p2];
+    let coefficients = coefficients.map(|coefficient| coefficient.unwrap_or(0.0));
+    let problem = intrinsics_problem([width, height], [fx, fy], principal_px);
+    if let Some(problem) = problem.or_else(|| coefficients_problem(&coefficients)) {
         return Err(bad(problem));
     }
     let camera = Camera {

@@ -72,6 +72,11 @@ fn hostile_and_damaged_archives_are_refused_before_anything_is_written() {
     let cases = [
         (zip(&[("../../1.png", b"x")]), "../../1.png, which leads out"),
         (zip(&[("/tmp/1.png", b"x"), ("C:\\1.png", b"x"), ("a/../../1.png", b"y")]), "leads out"),
+        (zip(&[("a\\..\\..\\1.png", b"x")]), "leads out"),
+        (zip(&[("a/../1.png", b"x"), ("1.png", b"y")]), "1.png twice"),
+        (zip(&[("C:\\1.png", b"x")]), "leads out"),
+        (zip(&[("a/1.png", b"x"), ("./a//1.png", b"y")]), "a/1.png twice"),
+        (zip(&[("a/1.png", b"x"), ("a\\1.png", b"y")]), "a/1.png twice"),
         (linked.finish().unwrap().into_inner(), "images.png, which is a link"),
         (locked, "locked by a password"),
         (zip(&[("a/1.png", b"x"), ("A/1.PNG", b"y")]), "1.PNG twice"),
@@ -85,6 +90,41 @@ fn hostile_and_damaged_archives_are_refused_before_anything_is_written() {
         let sentence = result.unwrap_err();
         assert!(sentence.contains("a.zip") && sentence.contains(problem), "{sentence}");
         assert!(sentence.contains("unpack it by hand") && files.is_empty(), "{files:?}");
+    }
+}
+
+/// Programs take the first of them, or the last; the crate that reads them, too, would not tell.
+#[test]
+fn two_entries_of_one_name_are_refused() {
+    let mut bytes = zip(&[("1.png", b"one"), ("2.png", b"two"), ("notes.md", b"x"), ("Notes.md", b"x")]);
+    assert_eq!(unpacked(&bytes).1.len(), 2);
+    let rename = |bytes: &mut Vec<u8>, from: &[u8], to: &[u8]| {
+        for at in 0..=bytes.len() - from.len() {
+            if bytes[at..].starts_with(from) {
+                bytes[at..at + to.len()].copy_from_slice(to);
+            }
+        }
+    };
+    let mut others = bytes.clone();
+    rename(&mut bytes, b"2.png", b"1.png");
+    rename(&mut others, b"Notes.md", b"notes.md");
+    for bytes in [bytes, others] {
+        let (result, files) = unpacked(&bytes);
+        let sentence = result.unwrap_err();
+        assert!(sentence.contains("a.zip holds two entries of one name") && files.is_empty(), "{sentence}");
+    }
+}
+
+#[test]
+fn an_archive_of_more_entries_than_scenes_have_is_refused_before_its_list_is_read() {
+    for (entries, is_refused) in [(100_000, false), (100_001, true)] {
+        let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+        for entry in 0..entries {
+            zip.add_directory(entry.to_string(), SimpleFileOptions::default()).unwrap();
+        }
+        let sentence = unpacked(&zip.finish().unwrap().into_inner()).0.unwrap_err();
+        let refused = "claims to hold 100001 entries, and at most 100000 are unpacked";
+        assert!(sentence.contains(if is_refused { refused } else { "holds no photos" }), "{sentence}");
     }
 }
 

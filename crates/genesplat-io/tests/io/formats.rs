@@ -525,31 +525,3 @@ fn what_is_not_finite_is_not_packed() {
         assert!(!file(&folder, format).exists());
     }
 }
-
-/// A position as far away as every format holds; a logarithmic scale, a rotation, a base colour, an opacity as large as a float gets.
-fn extremes() -> [Gaussians; 5] {
-    std::array::from_fn(|which| {
-        let mut cloud = varied(15, 4, 1);
-        for (row, value) in [f32::MAX, f32::MIN, f32::MAX.ln(), -200.0].into_iter().enumerate() {
-            match which {
-                0 => cloud.positions[row][0] = value.clamp(-8e6, 8e6),
-                1 => cloud.log_scales[row][0] = value,
-                2 => cloud.rotations[row] = [value; 4],
-                3 => cloud.sh[row][0] = value,
-                _ => cloud.opacity_logits[row] = value,
-            }
-        }
-        cloud
-    })
-}
-
-#[test]
-fn what_is_written_of_extreme_values_is_read() {
-    let folder = tempfile::tempdir().unwrap();
-    for (format, cloud) in Format::ALL.into_iter().flat_map(|format| extremes().map(|cloud| (format, cloud))) {
-        let path = file(&folder, format);
-        write(&path, &cloud, &Options::default());
-        let read = format::read(&path).map(|loaded| loaded.cloud.len()).map_err(|error| error.to_string());
-        assert_eq!(read, Ok(4), "{format:?}");
-    }
-}

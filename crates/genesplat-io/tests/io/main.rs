@@ -3,6 +3,7 @@
 mod archive;
 mod colmap;
 mod common;
+mod extremes;
 mod foreign;
 mod formats;
 mod found;

@@ -37,6 +37,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     file.override_by(args);
     let experiment = Experiment::new(file)?;
     files::check_folder(&args.out, TABLES)?;
+    FIGURES.iter().chain(&[DESCRIPTION, LOCK]).try_for_each(|name| files::check_name(&args.out, name))?;
     check_ours(&args.out)?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
     let _lock = match args.cell {
@@ -46,7 +47,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
         None => Some(Lock::take(&args.out)?),
     };
     device::use_threads(args.machine.threads)?;
-    let stop = interrupt::stop_flag()?;
+    let stop = interrupt::stop_flag();
     let lpips = lpips::open(&args.lpips.asked())?;
     let device = Some(args.machine.device.unwrap_or_default().resolve()?);
     let runner = Runner {
@@ -180,7 +181,7 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     // First, since it tells whose the others are.
     let described = (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
     let files: Vec<_> = std::iter::once(described).chain(FIGURES.into_iter().zip(texts)).collect();
-    files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
+    files.iter().try_for_each(|(name, text)| files::write_own_text(runner.out, name, text))?;
     output::print(&format!("{text}{seconds}"))?;
     let names = files.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
     let pictures = match pages.len() {

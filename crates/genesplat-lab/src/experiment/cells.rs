@@ -1,11 +1,15 @@
 //! What is on the disk already: which cells are finished, and what must not be replaced by them.
 
+use std::path::Path;
+
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::{LoadOptions, Scene, load_points, shown};
+use genesplat::run::METRICS;
+use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
+use genesplat::run::output;
 use genesplat::run::session::{has_checkpoint, no_rows, read_checkpoint};
 use genesplat::run::settings::{ConfigFile, Settings};
-use genesplat::run::{METRICS, photos};
 
 use super::plan::{BUNDLED, Cell};
 use super::results::Results;
@@ -38,6 +42,7 @@ impl Runner<'_> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {
             let path = self.folder(cell);
+            check_name(self.out, Path::new(&self.experiment.folder(cell)).join(METRICS))?;
             ensure!(
                 !Metrics::are_foreign(&path),
                 "{} is not the figures of a run, and would be replaced; put it elsewhere, or choose another --out",
@@ -75,6 +80,33 @@ impl Runner<'_> {
                 _ => first = Some((cell, metrics)),
             }
         }
+        self.check_inputs()
+    }
+
+    /// Neither do tables mix runs of different photos, cameras or points, finished or not.
+    fn check_inputs(&self) -> Result<()> {
+        let mut first: Option<(Cell, Inputs)> = None;
+        let is_kept = |cell: &Cell| self.whole_metrics(*cell).is_some() || has_checkpoint(&self.folder(*cell));
+        let mut unknown = 0;
+        for cell in self.experiment.cells().into_iter().filter(is_kept) {
+            let folder = self.folder(cell);
+            let Some(inputs) = Inputs::read(&folder)? else {
+                unknown += 1;
+                continue;
+            };
+            match &first {
+                Some((other, of_other)) if other.scene == cell.scene => {
+                    inputs::check_alike([&self.folder(*other), &folder], [of_other, &inputs])?;
+                }
+                _ => first = Some((cell, inputs)),
+            }
+        }
+        if unknown > 0 {
+            output::tell(&format!(
+                "notice: {unknown} of the runs are of a version that kept no digests of photos and cameras, so changes of the scene \
+                 since then are noticed only where names of photos, their number or the extent of the cameras differ"
+            ));
+        }
         Ok(())
     }
 
@@ -96,7 +128,7 @@ impl Runner<'_> {
         let partners = self.experiment.cells().into_iter().filter(|other| other.scene == cell.scene);
         partners
             .filter(|&other| self.whole_metrics(other).is_some())
-            .try_for_each(|other| photos::check(&self.folder(other), scene))
+            .try_for_each(|other| inputs::check_began_with(&self.folder(other), scene))
     }
 
     /// The figures of a cell that has come to its end, with whatever settings.
@@ -109,7 +141,8 @@ impl Runner<'_> {
     /// the bundled one by its options, too.
     fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
         let is_bundled = self.experiment.file.scenes[cell.scene] == BUNDLED;
-        config.difference(settings, if is_bundled { 2 } else { 1 })
+        let differs = config.difference(settings, if is_bundled { 2 } else { 1 });
+        differs.or_else(|| inputs::other_settings(&self.folder(cell), settings))
     }
 }
 

@@ -7,13 +7,14 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use genesplat::core::Photo;
-use genesplat::io::photos::{read_photo, write_png};
-use genesplat::io::{Scene, shown};
+use genesplat::io::photos::{read_photo, write_own_png};
+use genesplat::io::{Scene, scene_digests, shown};
+use genesplat::run::TEST;
+use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::output;
 use genesplat::run::report::sheet::{changes, stacked};
 use genesplat::run::scene::picture_names;
-use genesplat::run::{TEST, photos};
 
 use super::plan::Cell;
 use super::results::Results;
@@ -43,10 +44,24 @@ pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Pag
 /// The pages of one scene, whose photos may have changed since its cells were run.
 fn write_scene(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Result<Vec<Page>> {
     let pairs = pairs_of(results, scene);
-    let Some((first, _)) = pairs.first() else { return Ok(Vec::new()) };
+    let Some((first, _)) = pairs.first() else {
+        notice_changes(runner, results, scene)?;
+        return Ok(Vec::new());
+    };
     let scene = runner.load(*first, &runner.settings(*first, results)?)?;
     let pages = pairs.into_iter().map(|pair| write_page(runner, results, &scene, pair));
     Ok(pages.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
+}
+
+/// Without pages nobody else looks at a scene of which no cell is left to be run.
+fn notice_changes(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Result<()> {
+    let is_kept = |cell: &Cell| cell.scene == scene && results.get(*cell).is_some();
+    let Some(cell) = runner.experiment.cells().into_iter().find(is_kept) else { return Ok(()) };
+    let (dataset, folder) = (runner.settings(cell, results)?.dataset, runner.folder(cell));
+    let Some(began) = Inputs::read(&folder)?.filter(|_| dataset.path.exists()) else { return Ok(()) };
+    let now = scene_digests(&dataset.path, &dataset.options())?;
+    inputs::notice_changes(&began.scene, &folder, &now, runner.experiment.scene_name(scene));
+    Ok(())
 }
 
 /// `None` where no photo was held out.
@@ -60,7 +75,7 @@ fn write_page(
     let names = picture_names(&scene.test);
     let [baseline, arm] = [without, with].map(|cell| experiment.arms[cell.arm].name.as_str());
     let folders = [without, with].map(|cell| runner.folder(cell));
-    folders.iter().try_for_each(|folder| photos::check(folder, scene))?;
+    folders.iter().try_for_each(|folder| inputs::check_began_with(folder, scene))?;
     let (mut rows, mut shown) = (Vec::new(), None);
     let views = match [without, with].map(|cell| results.get(cell)) {
         [Some(without), Some(with)] => most_changed(without, with),
@@ -78,7 +93,7 @@ fn write_page(
     let Some([without, with_arm]) = shown else { return Ok(None) };
     let (name, method) = (experiment.scene_name(with.scene), experiment.file.methods[with.method]);
     let path: PathBuf = ["qualitative", name, method.name(), &format!("{arm}.png")].iter().collect();
-    write_png(&runner.out.join(&path), &stacked(&rows))?;
+    write_own_png(runner.out, &path, &stacked(&rows))?;
     let caption = format!(
         "{name}, {method}, seed {}: photo, {baseline}, {arm}. Above, the test photo that gained most PSNR; below, the one \
          that lost most (or gained least). Green: where error fell most; red: where it rose most.",

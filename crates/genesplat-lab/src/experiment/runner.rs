@@ -12,6 +12,7 @@ use genesplat::core::BackendError;
 use genesplat::gallery;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, Spill, load_points, shown};
 use genesplat::metrics::Lpips;
+use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::Machine;
@@ -138,7 +139,7 @@ impl<'a> Runner<'a> {
         let in_cells = self.experiment.cells().into_iter().flat_map(|cell| {
             let folder = self.folder(cell);
             let up = folder.ancestors().take_while(|above| above.starts_with(self.out)).map(Path::to_owned);
-            up.chain([folder.join(TEST)]).collect::<Vec<_>>()
+            up.chain(FOLDERS.map(|part| folder.join(part))).collect::<Vec<_>>()
         });
         in_scenes.chain(in_cells).for_each(|folder| files::remove_leftovers(&folder));
     }
@@ -199,6 +200,10 @@ impl<'a> Runner<'a> {
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings).and_then(|scene| {
             self.check_partners(cell, scene)?;
+            if resumes {
+                let (mut now, caller) = (Inputs::of(settings, scene), Caller::Experiment);
+                inputs::check_goes_on(&self.folder(cell), &mut now, &scene.name, caller, false)?;
+            }
             Ok(scene)
         });
         let scene = scene.map_err(|error| (error, Reach::Scene))?;
@@ -210,6 +215,7 @@ impl<'a> Runner<'a> {
             page: None,
             tensorboard: false,
             cluster: None,
+            accepts_changes: false,
             began,
         };
         let ended = RunSession::claim(&self.folder(cell), Caller::Experiment, resumes)

@@ -9,7 +9,7 @@ use std::time::SystemTime;
 use genesplat::gallery::{self, GalleryOptions};
 use tempfile::TempDir;
 
-use crate::support::{command, copy, fail, json, run, succeed, text};
+use crate::support::{command, copy, fail, json, run, succeed, text, train};
 
 /// Small enough for a test; resets once, and searches then.
 const SMALL: &str = r#"
@@ -212,7 +212,9 @@ fn a_finished_experiment_keeps_its_tables_where_its_scene_has_changed() {
     succeed(&arguments);
     let before = fs::read(&tables).unwrap();
     // Fewer photos, and as many of another size.
-    for (size, views, sign) in [([48, 32], 5, "other photos"), ([64, 48], 17, "has 48x32 pixels")] {
+    let gone = "photo gallery_005.png, which the run began with, is not there";
+    let changed = "photo gallery_000.png is not what the run began with";
+    for (size, views, sign) in [([48, 32], 5, gone), ([64, 48], 17, changed)] {
         write_scene(&scene, size, views);
         fs::remove_file(&tables).unwrap();
         let output = run(&arguments);
@@ -232,10 +234,72 @@ fn a_cell_is_not_run_beside_others_of_other_photos() {
     let cell = folder.path().join("out/cells/one/3dgs/genetic/seed-0");
     fs::remove_dir_all(&cell).unwrap();
     write_scene(&scene, [48, 32], 9);
-    fail(&arguments, &["off/seed-0", "other photos than one has now", "choose another --out", "remove that folder"]);
+    let is_gone = "photo gallery_009.png, which the run began with, is not there";
+    fail(&arguments, &["off/seed-0", is_gone, "choose another --out", "remove that folder"]);
+    // As many, one of which is another.
+    write_scene(&scene, [48, 32], 17);
+    let photo = |name: &str| scene.join("images").join(name);
+    fs::copy(photo("gallery_002.png"), photo("gallery_003.png")).unwrap();
+    let is_other = "photo gallery_003.png is not what the run began with";
+    fail(&arguments, &["off/seed-0", is_other, "choose another --out", "remove that folder"]);
     assert!(!cell.exists());
     write_scene(&scene, [48, 32], 17);
     succeed(&arguments);
+}
+
+/// Copied together from two experiments, or begun before the scene was changed and ended after.
+#[test]
+fn a_table_mixes_no_runs_of_different_scenes_or_settings() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = on_own_scenes(folder.path(), "[\"one\"]");
+    let scene = folder.path().join("one");
+    write_scene(&scene, [48, 32], 9);
+    succeed(&arguments);
+    let cell = folder.path().join("out/cells/one/3dgs/genetic/seed-1");
+    let inputs = cell.join("inputs.json");
+    let before = fs::read_to_string(&inputs).unwrap();
+    let mut other = json(&inputs);
+    other["scene"]["photos"][3]["pose"] = other["scene"]["photos"][4]["pose"].clone();
+    fs::write(&inputs, other.to_string()).unwrap();
+    let words = ["off/seed-0", "genetic/seed-1", "different scenes", "the pose of photo gallery_003.png"];
+    fail(&arguments, &words);
+    fs::write(&inputs, before.replace("seed = 1", "seed = 8")).unwrap();
+    fail(&arguments, &["genetic/seed-1", "other settings", "seed is 8 there and 1 here"]);
+    fs::write(&inputs, &before).unwrap();
+
+    // The checkpoint of another cell.
+    fs::remove_file(cell.join("metrics.json")).unwrap();
+    let of_other = stopped_checkpoint(&scene, &folder.path().join("other"));
+    fs::create_dir_all(cell.join("checkpoint")).unwrap();
+    fs::copy(of_other, cell.join("checkpoint/latest.checkpoint")).unwrap();
+    fail(&arguments, &["genetic/seed-1", "other settings", "by its checkpoint/latest.checkpoint"]);
+    fs::remove_file(cell.join("checkpoint/latest.checkpoint")).unwrap();
+    succeed(&arguments);
+}
+
+/// The checkpoint of a run that has stopped because it found nothing left to train.
+fn stopped_checkpoint(scene: &Path, out: &Path) -> PathBuf {
+    let more = ["--iterations", "6000", "--steps-scale", "0.01", "--checkpoint-every", "5", "--config"];
+    let config = out.with_extension("toml");
+    let method = "method = { name = \"3dgs\", densify_every = 2, reset_every = 30, prune_size = 1e-9 }";
+    fs::write(&config, method).unwrap();
+    fail(train(scene, out, &[&more, &[text(&config)][..]].concat()), &["every Gaussian was pruned"]);
+    out.join("checkpoint/latest.checkpoint")
+}
+
+/// Of a scene of which nothing is left to be run, and no page is made.
+#[test]
+fn a_finished_experiment_says_that_its_scene_is_another_now() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out, scene) = (folder.path().join("own.toml"), folder.path().join("out"), folder.path().join("one"));
+    fs::write(&file, SMALL.replace("scenes = [\"small\"]", "scenes = [\"one\"]\nsearch = [\"off\"]")).unwrap();
+    write_scene(&scene, [48, 32], 9);
+    let arguments = experiment_on(folder.path(), &file, &out, &[]);
+    succeed(&arguments);
+    let photo = |name: &str| scene.join("images").join(name);
+    fs::copy(photo("gallery_002.png"), photo("gallery_003.png")).unwrap();
+    let stderr = String::from_utf8(run(&arguments).stderr).unwrap();
+    assert!(stderr.contains("notice: photo gallery_003.png is not what the run began with"), "{stderr}");
 }
 
 #[test]

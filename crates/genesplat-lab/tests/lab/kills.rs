@@ -16,7 +16,7 @@ use std::fs;
 use std::path::Path;
 
 use self::scenario::{Scenario, lasting};
-use crate::support::{copy_scene, succeed, text};
+use crate::support::{command, copy_scene, succeed, text};
 
 #[test]
 fn an_experiment_withstands_kills() {
@@ -32,6 +32,7 @@ fn an_experiment_withstands_kills() {
     };
     succeed(arguments(&whole));
     let scenario = Scenario {
+        start: command,
         before: None,
         arguments: &arguments,
         check_end: &|out| {

@@ -68,7 +68,8 @@ impl RunSummary {
             stages: self.stages.clone(),
         };
         let cursor = Cursor::start_of(self.iterations + 1);
-        Ok(Checkpoint { cursor, progress, state: backend.state()?, virtual_pictures: Vec::new() })
+        let (origin, state) = (String::new(), backend.state()?);
+        Ok(Checkpoint { origin, cursor, progress, state, virtual_pictures: Vec::new() })
     }
 }
 

@@ -209,7 +209,7 @@ impl<'a> Trainer<'a> {
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
         let (progress, state) = (self.place.progress.clone(), self.backend.state()?);
         let virtual_pictures = self.visits.virtual_views.pictures().to_vec();
-        Ok(Box::new(Checkpoint { cursor, progress, state, virtual_pictures }))
+        Ok(Box::new(Checkpoint { origin: String::new(), cursor, progress, state, virtual_pictures }))
     }
 
     /// The same, where the cloud is finite.

@@ -78,6 +78,10 @@ pub(crate) const MASKS: &[Choice<MaskUse>] = &[
     ),
 ];
 
+/// `--split` of `evaluate`.
+pub(crate) const SPLITS: &[Choice<Split>] =
+    &[(Split::Test, &["test"], "Photos that training never saw"), (Split::Train, &["train"], "Photos that it saw")];
+
 /// `--spz-version`.
 pub(crate) const SPZ_VERSIONS: &[Choice<SpzVersion>] = &[
     (SpzVersion::V3, &["3"], "One gzip stream, which most viewers read"),

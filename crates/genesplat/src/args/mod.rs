@@ -28,14 +28,14 @@ pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
-pub(crate) use train::{OldArgs, SearchArgs, TrainArgs};
+pub(crate) use train::{OldArgs, SCENE, SearchArgs, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, poses, refine, render, demo)";
+                           SIGTERM with what there was saved";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
-/// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
+/// New here? `genesplat demo` builds a small scene, trains it by the published method and by ours, and shows the difference.
 #[derive(Debug, Parser)]
 #[command(name = "genesplat", version, max_term_width = 120, after_help = EXIT_STATUS)]
 pub(crate) struct Arguments {
@@ -65,7 +65,7 @@ pub(crate) fn moved(name: &str) -> Option<&'static str> {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Start here: build a small scene, train it without and with evolution, show the difference (a few minutes)
+    /// Start here: build a small scene, train it by the published method and by ours, show the difference (a few minutes)
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),

@@ -17,7 +17,7 @@ pub(crate) struct PhotosArgs {
     pub(crate) size: SizeArgs,
     /// Folder of a COLMAP scene's photos, below the scene's or anywhere, such as images_4 [default: images]
     #[arg(long, value_name = "FOLDER", help_heading = MORE)]
-    images: Option<PathBuf>,
+    pub(crate) images: Option<PathBuf>,
     #[command(flatten)]
     hold_out: HoldOutArgs,
     /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and transparency mean

@@ -41,6 +41,10 @@ pub(crate) struct TrainArgs {
     /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
     #[arg(long)]
     pub(crate) resume: bool,
+    /// With --resume: go on although photos, masks, cameras or points are not what the run began with. The result is then
+    /// that of neither, and DIR/inputs.json says what has changed
+    #[arg(long, requires = "resume", help_heading = MORE)]
+    pub(crate) accept_changes: bool,
     #[command(flatten)]
     pub(crate) page: TrainPageArgs,
     /// Also write the curves of the run to DIR/tensorboard, for `tensorboard --logdir DIR` and its like
@@ -56,10 +60,13 @@ pub(crate) struct TrainArgs {
     pub(crate) lpips: LpipsArgs,
 }
 
+/// The folder of a scene in that of its run.
+pub(crate) const SCENE: &str = "scene";
+
 impl TrainArgs {
     /// The folder of the scene, which `--poses` makes, and into which an archive is unpacked.
     pub(crate) fn scene(&self) -> PathBuf {
-        if self.poses || is_zip(&self.dataset) { self.out.join("scene") } else { self.dataset.clone() }
+        if self.poses || is_zip(&self.dataset) { self.out.join(SCENE) } else { self.dataset.clone() }
     }
 
     /// What is asked for; `over` is [`Self::override_config`].
@@ -68,6 +75,7 @@ impl TrainArgs {
             scene: self.scene(),
             out: &self.out,
             resumes: self.resume,
+            accepts_changes: self.accept_changes,
             config: self.config.as_deref(),
             preset: self.preset,
             photos: self.photos.asked()?,

@@ -1,11 +1,12 @@
 //! From the splats of blocks to one.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::shown;
+use genesplat::run::inputs::{Inputs, check_shared};
 use genesplat::run::session::has_checkpoint;
 use genesplat::run::splat;
 use genesplat::run::{CLOUD, METRICS};
@@ -17,6 +18,7 @@ use super::folder::{Cut, command, run_of};
 pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
     let grid = Cut::read(folder)?.grid;
     check_runs(&grid, folder)?;
+    check_inputs(&grid, folder)?;
     let mut whole: Option<(Gaussians, RenderSettings)> = None;
     for block in grid.blocks() {
         let run = run_of(block, folder);
@@ -59,6 +61,18 @@ fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
     };
     let filter_3d = if has_filter_3d { "a 3D filter" } else { "no 3D filter" };
     [format!("background {background}"), filter.to_owned(), format!("sh_degree {sh_degree}"), filter_3d.to_owned()]
+}
+
+/// Fails where a photo that two blocks share was not the same, or stood elsewhere, when their runs began.
+fn check_inputs(grid: &Grid, folder: &Path) -> Result<()> {
+    let mut before: Vec<(PathBuf, Inputs)> = Vec::new();
+    for block in grid.blocks() {
+        let run = run_of(block, folder);
+        let Some(inputs) = Inputs::read(&run)? else { continue };
+        before.iter().try_for_each(|(other, of_other)| check_shared([other, &run], [of_other, &inputs]))?;
+        before.push((run, inputs));
+    }
+    Ok(())
 }
 
 fn check_runs(grid: &Grid, folder: &Path) -> Result<()> {

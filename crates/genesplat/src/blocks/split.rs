@@ -1,18 +1,20 @@
 //! From a scene to the scenes of its blocks.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::Camera;
 use genesplat::io::blocks::{Block, Grid, Members};
 use genesplat::io::colmap::write_model;
-use genesplat::io::{Point, SceneList, ScenePhoto, model_of, plural, shown};
-use genesplat::run::files::{link_or_copy, unwritable, write_text};
+use genesplat::io::{Point, SceneList, ScenePhoto, model_of, own, plural, shown};
+use genesplat::run::files::{make_own_folder, unwritable, write_own_text};
 use genesplat::run::numbers::thousands;
 use genesplat::run::output;
 use glam::DVec3;
 
-use super::folder::{Cut, TEST_LIST, command, scene_of};
+use super::claim::Claim;
+use super::folder::{Cut, SCENES, TEST_LIST, command};
 
 /// What is in one block.
 struct Content<'a> {
@@ -21,7 +23,7 @@ struct Content<'a> {
 }
 
 /// Cuts `list`, the scene at `scene`, into `columns` x `rows` blocks, and writes them below `out`. A block is also given what stands
-/// within `margin` of its sides beyond its core.
+/// within `margin` of its sides beyond its core. Where a process was killed that did the same, this one goes on.
 pub(crate) fn split(scene: &Path, list: &SceneList, count: [usize; 2], margin: f64, out: &Path) -> Result<()> {
     let positions: Vec<DVec3> = list.points.iter().map(|point| DVec3::from(point.position.map(f64::from))).collect();
     let cameras: Vec<Camera> = list.photos.iter().map(|photo| photo.camera).collect();
@@ -30,15 +32,17 @@ pub(crate) fn split(scene: &Path, list: &SceneList, count: [usize; 2], margin: f
     for (number, block) in grid.blocks().iter().enumerate() {
         check(block, members.photos(number).iter().map(|&photo| &list.photos[photo]))?;
     }
+    let claim = Claim::take(out, list, count, margin)?;
     for (number, block) in grid.blocks().iter().enumerate() {
         let photos = members.photos(number).iter().map(|&photo| &list.photos[photo]).collect();
         let points = members.points(number).map(|point| list.points[point]).collect();
         let content = Content { photos, points };
-        write(&scene_of(block, out), &content)?;
+        write(&make_own_folder(out, Path::new(SCENES).join(&block.name))?, &content)?;
         tell(block, &content, out)?;
     }
     // Last: a folder with this file is whole.
-    Cut { scene: shown(scene), grid }.write(out)
+    Cut { scene: shown(scene), grid }.write(out)?;
+    claim.finish()
 }
 
 fn check<'a>(block: &Block, mut photos: impl Iterator<Item = &'a ScenePhoto>) -> Result<()> {
@@ -52,22 +56,37 @@ fn check<'a>(block: &Block, mut photos: impl Iterator<Item = &'a ScenePhoto>) ->
 
 fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
     for photo in &content.photos {
-        place(&photo.path, &folder.join("images").join(&photo.name))?;
+        place(&photo.path, folder, &Path::new("images").join(&photo.name))?;
         if let Some(mask) = &photo.mask {
-            place(mask, &folder.join("masks").join(format!("{}.png", photo.name)))?;
+            place(mask, folder, &Path::new("masks").join(format!("{}.png", photo.name)))?;
         }
     }
-    let tests = content.photos.iter().filter(|photo| photo.is_test);
-    let tests: String = tests.map(|photo| format!("{}\n", photo.name)).collect();
-    if !tests.is_empty() {
-        write_text(&folder.join(TEST_LIST), &tests)?;
+    let tests: Vec<&str> = content.photos.iter().filter(|photo| photo.is_test).map(|photo| &*photo.name).collect();
+    if let Some(name) = tests.iter().find(|name| name.contains(['\n', '\r'])) {
+        bail!("{} has a line break in its name, and lists of test photos have a line each; rename it", shown(name));
     }
-    let model = folder.join("sparse/0");
+    if !tests.is_empty() {
+        write_own_text(folder, TEST_LIST, &(tests.join("\n") + "\n"))?;
+    }
+    let model = make_own_folder(folder, "sparse/0")?;
     write_model(&model, &model_of(&content.photos, content.points.clone())).map_err(|error| unwritable(&model, &error))
 }
 
-fn place(file: &Path, to: &Path) -> Result<()> {
-    link_or_copy(file, to).map_err(|error| anyhow!("cannot copy {} to {}: {error}", shown(file), shown(to)))
+/// Puts a photo or a mask into the scene of a block, unless it is there since the last time.
+fn place(file: &Path, folder: &Path, name: &Path) -> Result<()> {
+    let to = folder.join(name);
+    match own::link_or_copy(file, folder, name) {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            ensure!(
+                own::is_same(file, &to).is_ok_and(|is_same| is_same),
+                "{} is there already, and is not {}; remove it",
+                shown(&to),
+                shown(file)
+            );
+            Ok(())
+        }
+        done => done.map_err(|error| anyhow!("cannot copy {} to {}: {error}", shown(file), shown(&to))),
+    }
 }
 
 fn tell(block: &Block, content: &Content<'_>, out: &Path) -> Result<()> {

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
-use genesplat::core::Gaussians;
 use genesplat::core::gaussians::sigmoid;
+use genesplat::core::{Gaussians, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{plural, shown};
@@ -66,6 +66,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
 /// The Gaussians that can be shown; a notice counts the others.
 fn clean(cloud: Gaussians, path: &Path) -> Result<Gaussians> {
     let in_file = thousands(cloud.len());
+    ensure_memory(cloud.len())?;
     let (cloud, faults) = leave_out_faults(cloud);
     let Some(first) = faults.first() else { return Ok(cloud) };
     let count = thousands(faults.len());
@@ -82,11 +83,18 @@ fn cut(cloud: &Gaussians, args: &ConvertArgs) -> Result<Gaussians> {
         args.crop.is_none_or(|crop| crop.contains(cloud.positions[row]))
             && args.prune.is_none_or(|least| opacity >= least)
     };
+    ensure_memory(cloud.len())?;
     let rows: Vec<u32> = (0..cloud.len() as u32).filter(|&row| is_kept(row as usize)).collect();
     if rows.is_empty() {
         bail!("no Gaussian of {} is left by --crop and --prune; widen them", shown(&args.splat));
     }
+    ensure_memory(rows.len())?;
     Ok(cloud.gather(&rows))
+}
+
+/// Fails where there is no room for so many more Gaussians, and for a list of them.
+fn ensure_memory(gaussians: usize) -> Result<()> {
+    Ok(memory::ensure_memory(gaussians * (Gaussians::BYTES_PER_ROW + 64), "the Gaussians that are kept")?)
 }
 
 fn say_size(what: &str, path: &Path, gaussians: usize) -> Result<()> {

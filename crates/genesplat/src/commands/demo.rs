@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::gallery::{self, GalleryOptions};
-use genesplat::io::photos::{read_photo, write_png};
+use genesplat::io::photos::{read_photo, write_own_png};
 use genesplat::io::{Scene, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::metrics::Metrics;
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
         halves.into_iter().map(|(method, genetic)| Half::new(args, method, genetic)).collect::<Result<_>>()?;
     check_gallery(&args.out)?;
     device::use_threads(args.machine.threads)?;
-    let stop = interrupt::stop_flag()?;
+    let stop = interrupt::stop_flag();
     let lpips = lpips::open(&args.lpips.asked())?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
     let mut results = Vec::new();
@@ -78,14 +78,18 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     let renders = [read(&halves[0])?, read(&halves[1])?];
     let sheet = changes(&photo, [&renders[0], &renders[1]]);
     let [picture, page] = [PICTURE, PAGE].map(|name| args.out.join(name));
-    write_png(&picture, &sheet)?;
+    write_own_png(&args.out, PICTURE, &sheet)?;
     let sides = [0, 1].map(|index| Side {
         name: &halves[index].name,
         metrics: &results[index],
         folder: halves[index].session.path(),
         render: &renders[index],
     });
-    files::write_text(&page, &pair::to_html(&scene.name, &sides, name, &sheet, &this_command("genesplat"))?)?;
+    files::write_own_text(
+        &args.out,
+        PAGE,
+        &pair::to_html(&scene.name, &sides, name, &sheet, &this_command("genesplat"))?,
+    )?;
     output::print(&format!(
         "open     {}  (both runs side by side, in a browser)\n\
          picture  {}  (where they differ most: photo, {}, {})\n\
@@ -105,6 +109,9 @@ fn gallery_in(out: &Path) -> PathBuf {
 /// Fails where there is a gallery that no demo has built, or a page or picture without one, since ours would be written over it.
 fn check_gallery(out: &Path) -> Result<()> {
     let folder = &gallery_in(out);
+    [PICTURE, PAGE, "gallery/images/gallery_000.png", "gallery/sparse/0/images.bin"]
+        .iter()
+        .try_for_each(|name| files::check_name(out, name))?;
     let strange = [PICTURE, PAGE].map(|name| out.join(name)).into_iter().find(|file| file.exists() && !folder.exists());
     if let Some(file) = strange {
         bail!("{} is of no earlier demo, and would be written over; choose another --out", shown(&file));
@@ -167,6 +174,7 @@ impl Half {
             page: None,
             tensorboard: false,
             cluster: None,
+            accepts_changes: false,
             began: Instant::now(),
         };
         Ok(match run.execute(&mut self.session)? {

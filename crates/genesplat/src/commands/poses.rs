@@ -11,7 +11,7 @@ use crate::poses::{self, Request};
 
 pub(crate) fn run(args: &PosesArgs) -> Result<Ending> {
     device::use_threads(args.threads)?;
-    let stop = interrupt::stop_flag()?;
+    let stop = interrupt::stop_flag();
     let PosesArgs { photos, out, frames, threads } = args;
     let request = Request { photos, out, frames: *frames, threads: *threads };
     let Some(summary) = poses::find(&request, &stop)? else {

@@ -32,7 +32,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     splat.settings = schedule.render_settings();
     let scene = splat.load_scene(&data, &args.photos.asked()?)?;
     photos::check_test_photos(&args.splat, &scene)?;
-    let stop = interrupt::stop_flag()?;
+    let stop = interrupt::stop_flag();
     let mut device = device::open(args.machine.device.unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
     print_scores("before", &mut device, &scene, &splat.settings)?;

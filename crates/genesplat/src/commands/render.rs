@@ -47,7 +47,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         return render_path::run(args, path);
     }
     device::use_threads(args.splat.machine.threads)?;
-    let stop = interrupt::stop_flag_saying(STOPPING)?;
+    let stop = interrupt::stop_flag_saying(STOPPING);
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
     let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;
@@ -60,24 +60,24 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     let jobs = match &args.image {
         Some(name) => {
             let name = splat.view_name(name, &data, &args.splat.photos.asked()?)?;
-            vec![(find(&scene, &name, &data)?, args.out.clone())]
+            vec![(find(&scene, &name, &data)?, Place::Given(&args.out))]
         }
         None => {
             let views = chosen(scene, args.split.unwrap_or(RenderSplit::All));
             let names = scene::picture_names(&views);
-            views.into_iter().zip(names).map(|(view, name)| (view, args.out.join(name))).collect()
+            views.into_iter().zip(names).map(|(view, name)| (view, Place::In(&args.out, name))).collect()
         }
     };
-    jobs.iter().try_for_each(|(_, path)| overwrite::check_existing(path, Content::Picture, &[]))?;
+    jobs.iter().try_for_each(|(_, place)| place.check())?;
     let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     let mut done = 0;
-    for (view, path) in &jobs {
+    for (view, place) in &jobs {
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        write(path, &backend.render(&view.camera, &splat.settings)?.to_photo())?;
+        place.write(&backend.render(&view.camera, &splat.settings)?.to_photo())?;
         done += 1;
         bar.set(done as u64, String::new);
     }
@@ -95,12 +95,35 @@ fn is_jpeg(path: &Path) -> bool {
     ["jpg", "jpeg"].contains(&ending(path).as_str())
 }
 
-fn write(path: &Path, picture: &Photo) -> Result<()> {
-    if is_jpeg(path) {
-        let jpeg = photos::encode_jpeg(picture, JPEG_QUALITY);
-        return files::write_file(path, |out| out.write_all(&jpeg));
+/// Where a picture goes.
+enum Place<'a> {
+    /// The user has given its name.
+    Given(&'a Path),
+    /// A name of ours, in the folder that the user has given.
+    In(&'a Path, String),
+}
+
+impl Place<'_> {
+    fn check(&self) -> Result<()> {
+        match self {
+            Self::Given(path) => overwrite::check_existing(path, Content::Picture, &[]),
+            Self::In(folder, name) => {
+                files::check_name(folder, name)?;
+                overwrite::check_existing(&folder.join(name), Content::Picture, &[])
+            }
+        }
     }
-    Ok(photos::write_png(path, picture)?)
+
+    fn write(&self, picture: &Photo) -> Result<()> {
+        match self {
+            Self::Given(path) if is_jpeg(path) => {
+                let jpeg = photos::encode_jpeg(picture, JPEG_QUALITY);
+                files::write_file(path, |out| out.write_all(&jpeg))
+            }
+            Self::Given(path) => Ok(photos::write_png(path, picture)?),
+            Self::In(folder, name) => Ok(photos::write_own_png(folder, name, picture)?),
+        }
+    }
 }
 
 /// The view called `name`, unless it is hidden.

@@ -1,25 +1,27 @@
 //! `genesplat render --path`: a splat seen by a camera that moves, as PNGs, or as a film that ffmpeg makes of them.
 
-use std::fs;
-use std::io::{ErrorKind, Read, Write};
+use std::ffi::OsStr;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Camera, Photo};
+use genesplat::io::atomic::Unfinished;
 use genesplat::io::{Scene, ending, input, photos, shown};
 use genesplat::run::files::unwritable;
 use genesplat::run::output::Bar;
 use genesplat::run::overwrite::{self, Content};
 use genesplat::run::splat::Splat;
-use genesplat::run::{device, splat};
+use genesplat::run::{device, files, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 use genesplat::viewer::path::CameraPath;
 
 use super::render::STOPPING;
 use crate::args::{PathChoice, RenderArgs};
+use crate::programs::Programs;
 
 /// Frames of a path where nobody asks for a number.
 const FRAMES: u32 = 120;
@@ -28,7 +30,7 @@ const RATE: &str = "30";
 
 pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
     device::use_threads(args.splat.machine.threads)?;
-    let stop = interrupt::stop_flag_saying(STOPPING)?;
+    let stop = interrupt::stop_flag_saying(STOPPING);
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
     let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;
@@ -92,7 +94,8 @@ enum Sink {
 /// A film under way: ffmpeg writes beside its place, where it is moved once it is whole.
 struct Film {
     ffmpeg: Child,
-    unfinished: PathBuf,
+    /// Taken once it is whole.
+    unfinished: Option<Unfinished>,
     path: PathBuf,
 }
 
@@ -100,9 +103,10 @@ impl Sink {
     fn open(out: &Path, cameras: &[Camera]) -> Result<Self> {
         if !is_film(out) {
             for frame in 1..=cameras.len() as u32 {
-                overwrite::check_existing(&frame_path(out, frame), Content::Picture, &[])?;
+                files::check_name(out, frame_name(frame))?;
+                overwrite::check_existing(&out.join(frame_name(frame)), Content::Picture, &[])?;
             }
-            let beyond = frame_path(out, cameras.len() as u32 + 1);
+            let beyond = out.join(frame_name(cameras.len() as u32 + 1));
             ensure!(
                 !beyond.exists(),
                 "{} would be a frame of another path after those of this one; choose another --out, or remove it and those that follow",
@@ -110,24 +114,25 @@ impl Sink {
             );
             return Ok(Self::Folder { path: out.to_owned(), frames: 0 });
         }
-        let name = out.file_name().unwrap_or_default().to_string_lossy();
-        let unfinished = out.with_file_name(format!(".genesplat-{}-{name}", std::process::id()));
+        let unfinished = Unfinished::of(out).map_err(|error| unwritable(out, &error))?;
         let Camera { width, height, .. } = cameras[0];
-        let ffmpeg = ffmpeg(&unfinished, width, height).spawn().map_err(|error| match error.kind() {
-            ErrorKind::NotFound => anyhow!(
+        let programs = Programs::default();
+        let program = programs.find(&["ffmpeg"]).ok_or_else(|| {
+            anyhow!(
                 "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
                 shown(out)
-            ),
-            _ => anyhow!("cannot start ffmpeg: {error}"),
+            )
         })?;
-        Ok(Self::Film(Film { ffmpeg, unfinished, path: out.to_owned() }))
+        let ffmpeg = ffmpeg(programs.command(&program), unfinished.temporary(), &ending(out), [width, height]);
+        let ffmpeg = { ffmpeg }.spawn().map_err(|error| anyhow!("cannot start {}: {error}", shown(program)))?;
+        Ok(Self::Film(Film { ffmpeg, unfinished: Some(unfinished), path: out.to_owned() }))
     }
 
     fn add(&mut self, picture: &Photo) -> Result<()> {
         match self {
             Self::Folder { path, frames } => {
                 *frames += 1;
-                Ok(photos::write_png(&frame_path(path, *frames), picture)?)
+                Ok(photos::write_own_png(path, frame_name(*frames), picture)?)
             }
             Self::Film(film) => {
                 let pipe = film.ffmpeg.stdin.as_mut().expect("it was opened");
@@ -153,7 +158,8 @@ impl Sink {
         drop(film.ffmpeg.stdin.take());
         let complaint = film.complaint();
         ensure!(film.ffmpeg.wait().is_ok_and(|status| status.success()), "{complaint}");
-        fs::rename(&film.unfinished, &film.path).map_err(|error| unwritable(&film.path, &error))
+        let whole = film.unfinished.take().map_or(Ok(()), Unfinished::finish);
+        whole.map_err(|error| unwritable(&film.path, &error))
     }
 }
 
@@ -170,20 +176,19 @@ impl Film {
 
 impl Drop for Film {
     fn drop(&mut self) {
-        // One that is finished has ended, and its file has moved.
+        // One that is finished has ended.
         let _ = self.ffmpeg.kill();
         let _ = self.ffmpeg.wait();
-        let _ = fs::remove_file(&self.unfinished);
     }
 }
 
-fn frame_path(folder: &Path, frame: u32) -> PathBuf {
-    folder.join(format!("{frame:04}.png"))
+fn frame_name(frame: u32) -> String {
+    format!("{frame:04}.png")
 }
 
-/// Frames come as raw pixels.
-fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
-    let mut command = Command::new("ffmpeg");
+/// Frames come as raw pixels. The film goes into the file `out`, which is there: `file:` and a format keep ffmpeg from
+/// looking for a protocol, an option or a pattern in its name.
+fn ffmpeg(mut command: Command, out: &Path, format: &str, [width, height]: [u32; 2]) -> Command {
     let size = format!("{width}x{height}");
     command.args([
         "-loglevel",
@@ -200,12 +205,13 @@ fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
         "-i",
         "-",
     ]);
-    if ending(out) == "gif" {
+    if format == "gif" {
         command.args(["-filter_complex", "split[a][b];[a]palettegen[p];[b][p]paletteuse"]);
     } else {
         command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart"]);
     }
-    command.arg(out).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let file = [OsStr::new("file:"), out.as_os_str()].join(OsStr::new(""));
+    command.args(["-f", format]).arg(file).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
     // Ctrl-C is ours to hear.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);

@@ -1,19 +1,17 @@
 //! `genesplat split`: a large scene as several that can be trained one by one.
 
-use std::fs;
-
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, bail};
 use genesplat::io::{LoadOptions, command_line, list_scene, shown};
 use genesplat::run::settings::check_hold_out;
 use genesplat::terminal::output;
 
 use crate::args::SplitArgs;
+use crate::blocks::claim::check_free;
 use crate::blocks::split::split;
 
 /// Writes the blocks, and says how each is trained.
 pub(crate) fn run(args: &SplitArgs) -> Result<()> {
-    let is_empty = fs::read_dir(&args.out).map_or(!args.out.exists(), |mut entries| entries.next().is_none());
-    ensure!(is_empty, "{} is there already and not empty; give --out a new folder", shown(&args.out));
+    check_free(&args.out)?;
     let hold_out = args.hold_out.asked()?.unwrap_or_default();
     check_hold_out(&hold_out)?;
     let list = list_scene(&args.data, &LoadOptions { hold_out, ..LoadOptions::default() })?;

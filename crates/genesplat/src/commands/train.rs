@@ -16,13 +16,13 @@ use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{CLOUD, REPORT};
-use genesplat::run::{cluster, device, lpips, overwrite, scene};
+use genesplat::run::{cluster, device, files, lpips, overwrite, preparing, scene};
 use genesplat::terminal::interrupt;
 use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;
 use genesplat::train::{StepBudget, TrainConfig};
 
-use crate::args::TrainArgs;
+use crate::args::{SCENE, TrainArgs};
 use crate::poses::{self, Request};
 use crate::unpacked;
 
@@ -31,11 +31,11 @@ use crate::unpacked;
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if !cluster::is_member() {
         cluster::notice_other_starters();
-        let stop = interrupt::stop_flag()?;
+        let stop = interrupt::stop_flag();
         cluster::stop_as_ranks_do(&stop)?;
         return run_on(args, &stop, None);
     }
-    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out, end)?;
+    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING), &args.out, end)?;
     if !cluster.is_root() {
         output::set_volume(Volume::Quiet);
     }
@@ -69,7 +69,9 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
     cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene))?;
     let (page, tensorboard) = (args.page.address(), args.tensorboard);
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
-    let ended = Run { settings, scene, lpips, stop, page, tensorboard, cluster, began }.execute(&mut session)?;
+    let accepts_changes = args.accept_changes;
+    let run = Run { settings, scene, lpips, stop, page, tensorboard, cluster, accepts_changes, began };
+    let ended = run.execute(&mut session)?;
     if let Some(cluster) = cluster {
         output::tell(&cluster.summary(began.elapsed().as_secs_f64())?);
     }
@@ -84,7 +86,7 @@ struct Loaded {
     lpips: Option<Lpips>,
 }
 
-/// One process claims the folder. `None` where it was stopped while it looked for cameras.
+/// One process claims the folder. `None` where it was stopped before it loaded anything.
 fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Option<Loaded>> {
     overwrite::check_apart(&args.dataset, &args.out)?;
     let session = match cluster {
@@ -98,10 +100,12 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         check_ranks(args, &config.train)?;
         machine.device = Some(DeviceChoice::Cpu);
     }
+    files::check_name(&args.out, Path::new(SCENE).join("file"))?;
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
     if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);
     }
+    let Some(_preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     if !args.poses && archive::is_zip(&args.dataset) {
         unpacked::unpack(&args.dataset, &args.scene())?;
     }

@@ -16,7 +16,7 @@ use crate::args::ViewArgs;
 /// Serves until Ctrl-C, which is how it is meant to end.
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
-    let stop = interrupt::stop_flag_saying("the page is closed")?;
+    let stop = interrupt::stop_flag_saying("the page is closed");
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
     let mut device = device::open(args.splat.machine.device.unwrap_or_default())?;

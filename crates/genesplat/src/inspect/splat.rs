@@ -5,12 +5,13 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, RenderSettings, ScreenFilter, median};
+use genesplat::core::{Gaussians, RenderSettings, ScreenFilter, median, memory};
 use genesplat::run::CLOUD;
 use genesplat::run::metrics::Metrics;
-use genesplat::run::numbers::{duration, memory, thousands};
+use genesplat::run::numbers::memory as in_words;
+use genesplat::run::numbers::{duration, thousands};
 use genesplat::run::session::has_checkpoint;
-use genesplat::run::splat;
+use genesplat::run::splat::{self, Splat};
 
 use super::{Fact, Report};
 
@@ -23,14 +24,14 @@ const MANY_INVISIBLE: f64 = 0.3;
 const MANY_HUGE: f64 = 0.01;
 
 pub(crate) fn inspect_splat(path: &Path) -> Result<Report> {
-    let splat = splat::open(path)?;
+    let splat = open(path)?;
     let (facts, warnings) = look(&splat.cloud, splat.settings, path);
     Ok(Report { kind: "splat", facts, warnings })
 }
 
 /// The figures of a run, and its splat.
 pub(crate) fn inspect_run(folder: &Path) -> Result<Report> {
-    let splat = splat::open(folder)?;
+    let splat = open(folder)?;
     let (mut facts, mut warnings) = look(&splat.cloud, splat.settings, &folder.join(CLOUD));
     match Metrics::read(folder) {
         Some(metrics) => facts.extend(figures(&metrics)),
@@ -40,6 +41,13 @@ pub(crate) fn inspect_run(folder: &Path) -> Result<Report> {
         warnings.push("the run was stopped before its end; the same command with --resume goes on with it".into());
     }
     Ok(Report { kind: "run", facts, warnings })
+}
+
+/// The splat, and room for the lists that medians are found in.
+fn open(path: &Path) -> Result<Splat> {
+    let splat = splat::open(path)?;
+    memory::ensure_memory(splat.cloud.len() * 4 * size_of::<f64>(), "figures of the Gaussians")?;
+    Ok(splat)
 }
 
 fn figures(metrics: &Metrics) -> Vec<Fact> {
@@ -70,7 +78,7 @@ fn look(cloud: &Gaussians, settings: RenderSettings, path: &Path) -> (Vec<Fact>,
     };
     let facts = vec![
         Fact::new("Gaussians", rows, thousands(rows)),
-        Fact::new("file", bytes, memory(bytes)),
+        Fact::new("file", bytes, in_words(bytes)),
         Fact::new("colour", settings.sh_degree, format!("spherical harmonics up to degree {}", settings.sh_degree)),
         Fact::new("screen filter", filter, filter),
         Fact::new("middle", centre.to_vec(), format!("{:.3} {:.3} {:.3}", centre[0], centre[1], centre[2])),

@@ -15,6 +15,11 @@ for done, (source, place) in enumerate(jobs, 1):
         os.makedirs(os.path.dirname(place), exist_ok=True)
         photo = Image.open(source)
         exif = photo.info.get("exif") or b""
-        photo.convert("RGB").save(place + ".part", "JPEG", quality=97, subsampling=0, exif=exif)
-        os.replace(place + ".part", place)
+        # Of a name that nothing has: no link is followed, and what is left by a process that was killed is known as ours.
+        part = os.path.join(os.path.dirname(place), f".genesplat-{os.getpid()}-{done}.tmp")
+        if os.path.lexists(part):
+            os.remove(part)
+        with open(part, "xb") as file:
+            photo.convert("RGB").save(file, "JPEG", quality=97, subsampling=0, exif=exif)
+        os.replace(part, place)
     print(done, flush=True)

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
 use genesplat::io::{plural, shown};
-use genesplat::run::files::write_json;
+use genesplat::run::files::write_own_json;
 use genesplat::run::output::Bar;
 
 use super::engine::Engine;
@@ -14,12 +14,14 @@ use super::process;
 
 /// In small letters.
 pub(super) const ENDINGS: [&str; 3] = ["heic", "heif", "hif"];
+/// What the script is told, below the folder of the stages.
+const LIST: &str = "heic.json";
 const SCRIPT: &str = include_str!("heic.py");
 
 /// Writes each first file as the second, a JPEG; false where `stop` has ended it.
 pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path, stop: &AtomicBool) -> Result<bool> {
     let Some((first, _)) = pairs.first() else { return Ok(true) };
-    let Some(python) = converter(engine) else {
+    let Some(mut command) = converter(engine) else {
         bail!(
             "{} {} HEIC, first {}, and {} cannot read them; install pillow-heif (`pip install pillow-heif`) beside pycolmap, or \
              convert them to JPEG",
@@ -29,19 +31,16 @@ pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path
             engine.name()
         )
     };
-    let list = work.join("heic.json");
-    write_json(&list, &pairs)?;
+    write_own_json(work, LIST, &pairs)?;
     let mut bar = Bar::new("photos", pairs.len() as u64);
-    let mut command = Command::new(python);
-    command.args(["-c", SCRIPT]).arg(list);
+    command.arg(work.join(LIST));
     process::run(&mut command, &work.join("heic.log"), stop, |line| {
         line.trim().parse().into_iter().for_each(|done| bar.set(done, String::new));
     })
 }
 
-/// The Python that can do it.
-fn converter(engine: &Engine) -> Option<&Path> {
-    let Engine::Pycolmap { python, .. } = engine else { return None };
-    let ran = Command::new(python).args(["-c", "import pillow_heif, PIL"]).output();
-    ran.is_ok_and(|ran| ran.status.success()).then_some(python)
+/// The Python that can do it, with the script.
+fn converter(engine: &Engine) -> Option<Command> {
+    let ran = engine.python("import pillow_heif, PIL")?.output();
+    ran.is_ok_and(|ran| ran.status.success()).then(|| engine.python(SCRIPT))?
 }

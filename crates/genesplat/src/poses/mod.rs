@@ -17,12 +17,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, ensure};
-use genesplat::io::{plural, shown};
-
-use engine::Engine;
-use genesplat::run::files::unwritable;
+use genesplat::io::{own, plural, shown};
+use genesplat::run::files::{check_name, make_empty, make_own_folder, remove_leftovers_below, unwritable};
 use genesplat::run::lock::Lock;
-use genesplat::run::output;
+use genesplat::run::{output, preparing};
+
+use crate::programs::Programs;
+use engine::Engine;
 use photos::Source;
 use stages::Job;
 pub(crate) use summary::Summary;
@@ -31,6 +32,8 @@ pub(crate) use summary::Summary;
 const WORK: &str = "poses";
 const IMAGES: &str = "images";
 const MODEL: &str = "sparse/0";
+/// One of those in it.
+const MODEL_FILE: &str = "sparse/0/images.bin";
 
 /// Photos of a video, where nothing else is asked for.
 pub(crate) const FRAMES: u32 = 120;
@@ -50,9 +53,14 @@ pub(crate) struct Request<'a> {
 
 /// The cameras of the photos, found now or earlier; `None` where `stop` has ended the search, which can go on.
 pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
+    let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     let source = Source::open(request.photos, request.frames)?;
     let work = claim(request.out, &source)?;
+    own::check_entries(&work).map_err(|error| unwritable(&work, &error))?;
     let _lock = Lock::take(&work)?;
+    [&work, &request.out.join(IMAGES), &request.out.join(masks::FOLDER)]
+        .into_iter()
+        .for_each(|f| remove_leftovers_below(f));
     // Whatever is there already is the user's, and stays.
     let is_new =
         !photos::is_begun(&work) && [IMAGES, masks::FOLDER].iter().all(|name| !request.out.join(name).exists());
@@ -60,14 +68,16 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));
     }
-    let prepared = Engine::find().and_then(|engine| prepare(request, &source, &work, engine, stop));
+    drop(preparing);
+    let prepared = Engine::find(Programs::beside(request.photos))
+        .and_then(|engine| prepare(request, &source, &work, engine, stop));
     if prepared.is_err() && is_new {
         photos::forget(request.out, &work);
     }
     let Some((engine, names, job)) = prepared? else { return Ok(None) };
     let Some(errors_px) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
     let summary = Summary::of_largest(&job.models, &names, &errors_px)?;
-    install(&job.models.join(&summary.model), &request.out.join(MODEL))?;
+    install(&job.models.join(&summary.model), request.out)?;
     summary.write(&work)?;
     Ok(Some(summary))
 }
@@ -81,10 +91,14 @@ fn prepare(
     stop: &AtomicBool,
 ) -> Result<Option<(Engine, Vec<String>, Job)>> {
     let images = request.out.join(IMAGES);
+    let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     source.check_photos()?;
+    drop(preparing);
+    source.make_folders_of_heic(request.out)?;
     if !heic::convert(&source.heic(&images), &engine, work, stop)? || !source.fill(&images, work, stop)? {
         return Ok(None);
     }
+    let Some(_preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     let names = photos::names_in(&images)?;
     ensure!(
         names.len() >= PHOTOS_MIN,
@@ -110,18 +124,13 @@ fn claim(out: &Path, source: &Source) -> Result<PathBuf> {
         "{shown} holds a scene already, and would be written over; choose another --out"
     );
     ensure!(!out.is_file(), "{shown} is a file, and a scene is a folder; choose another --out");
-    fs::create_dir_all(&work).map_err(|error| unwritable(&work, &error))?;
-    Ok(work)
+    check_name(out, MODEL_FILE)?;
+    make_own_folder(out, WORK)
 }
 
 /// Moves the model into the scene.
-fn install(model: &Path, place: &Path) -> Result<()> {
-    let moved = || {
-        if place.exists() {
-            fs::remove_dir_all(place)?;
-        }
-        fs::create_dir_all(place.parent().unwrap_or(place))?;
-        fs::rename(model, place)
-    };
-    moved().map_err(|error| unwritable(place, &error))
+fn install(model: &Path, out: &Path) -> Result<()> {
+    let place = make_empty(out, MODEL)?;
+    let moved = fs::remove_dir(&place).and_then(|()| fs::rename(model, &place));
+    moved.map_err(|error| unwritable(&place, &error))
 }

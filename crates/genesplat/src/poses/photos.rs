@@ -1,6 +1,7 @@
 //! The photos that cameras are found for: those of a folder or of an archive, or frames of a video.
 
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, BinaryHeap};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -8,9 +9,9 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
-use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown};
-use genesplat::run::files::{link_or_copy, unwritable, write_json};
-use genesplat::run::output;
+use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, names, own, shown};
+use genesplat::run::files::{make_own_folder, unwritable, write_own_json};
+use genesplat::run::{output, preparing};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -90,7 +91,7 @@ impl Source {
     /// Fails where the stages in `work` are those of other photos; else it is written down whose they are.
     pub(crate) fn check_same(&self, work: &Path) -> Result<()> {
         let (file, record) = (work.join(RECORD), self.record()?);
-        let Ok(bytes) = input::read(&file) else { return write_json(&file, &record) };
+        let Ok(bytes) = input::read(&file) else { return write_own_json(work, RECORD, &record) };
         let same = serde_json::from_slice::<Record>(&bytes).is_ok_and(|there| there == record);
         // Photos that lie in the scene are the user's own, and all else there can be removed.
         let anew = match self.is_in(&work.with_file_name(IMAGES)) {
@@ -137,8 +138,16 @@ impl Source {
         heic.iter().map(|name| (path.join(name), images.join(name_in_scene(name)))).collect()
     }
 
+    /// Makes the folders of the HEIC photos in the scene `out`.
+    pub(crate) fn make_folders_of_heic(&self, out: &Path) -> Result<()> {
+        let Self::Folder(Photos { heic, .. }) = self else { return Ok(()) };
+        let folders: BTreeSet<&Path> = heic.iter().filter_map(|name| Path::new(name).parent()).collect();
+        folders.into_iter().try_for_each(|folder| make_own_folder(out, Path::new(IMAGES).join(folder)).map(drop))
+    }
+
     /// Puts the photos into `images`, and their masks beside it; false where `stop` has ended it.
     pub(crate) fn fill(&self, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
+        let Some(preparing) = preparing::begin_unless(stop) else { return Ok(false) };
         match self {
             Self::Folder(photos) => photos.put(images).map(|()| true),
             Self::Archive { path } => {
@@ -146,7 +155,11 @@ impl Source {
                 unpacked::unpack(path, &unpacked)?;
                 photos_of(&unpacked)?.put(images).map(|()| true)
             }
-            Self::Video { path, frames } => video::take_frames(path, *frames, images, work, stop),
+            Self::Video { path, frames } => {
+                // Ffmpeg is a process of its own, which is to end first.
+                drop(preparing);
+                video::take_frames(path, *frames, images, work, stop)
+            }
         }
     }
 }
@@ -200,16 +213,17 @@ impl Photos {
     /// Puts them into `images` in a form that COLMAP reads, upright, and their masks beside it.
     fn put(&self, images: &Path) -> Result<()> {
         self.tell_of_lying(images);
+        let scene = images.parent().unwrap_or(images);
         self.names.par_iter().try_for_each(|name| {
-            let (from, to) = (self.path.join(name), images.join(name_in_scene(name)));
-            match to.exists() || (!is_webp(name) && turn_of(&from).is_none()) {
-                true => link(&from, &to),
-                false => Ok(write_upright(&from, &to)?),
+            let (from, to) = (self.path.join(name), Path::new(IMAGES).join(name_in_scene(name)));
+            match scene.join(&to).exists() || (!is_webp(name) && turn_of(&from).is_none()) {
+                true => link(&from, scene, &to),
+                false => Ok(write_upright(&from, (scene, &to))?),
             }
         })?;
-        let masks = images.with_file_name(masks::FOLDER);
         self.masks.par_iter().try_for_each(|(name, mask)| {
-            self.put_mask(&self.path.join(name), mask, &masks::place(&masks, &name_in_scene(name)))
+            let to = masks::place(Path::new(masks::FOLDER), &name_in_scene(name));
+            self.put_mask(&self.path.join(name), mask, (scene, &to))
         })
     }
 
@@ -228,12 +242,13 @@ impl Photos {
         }
     }
 
-    fn put_mask(&self, photo: &Path, mask: &Path, to: &Path) -> Result<()> {
-        let turn = turn_of(photo).filter(|_| !to.exists());
-        if to.exists() || (turn.is_none() && has_ending(&mask.to_string_lossy(), &["png"])) {
-            return link(mask, to);
+    fn put_mask(&self, photo: &Path, mask: &Path, (scene, to): (&Path, &Path)) -> Result<()> {
+        let is_there = scene.join(to).exists();
+        let turn = turn_of(photo).filter(|_| !is_there);
+        if is_there || (turn.is_none() && has_ending(&mask.to_string_lossy(), &["png"])) {
+            return link(mask, scene, to);
         }
-        Ok(write_mask(mask, to, photo_size(photo).unwrap_or_default().into(), turn)?)
+        Ok(write_mask(mask, (scene, to), photo_size(photo).unwrap_or_default().into(), turn)?)
     }
 }
 
@@ -254,9 +269,13 @@ fn is_heic(name: &str) -> bool {
     has_ending(name, &heic::ENDINGS)
 }
 
-/// [`link_or_copy`], once.
-fn link(from: &Path, to: &Path) -> Result<()> {
-    if to.exists() { Ok(()) } else { link_or_copy(from, to).map_err(|error| unwritable(to, &error)) }
+/// [`own::link_or_copy`], once: what is there is whole.
+fn link(from: &Path, scene: &Path, to: &Path) -> Result<()> {
+    let place = scene.join(to);
+    match place.exists() {
+        true => Ok(()),
+        false => own::link_or_copy(from, scene, to).map_err(|error| unwritable(&place, &error)),
+    }
 }
 
 /// What lies below a folder; all sorted.
@@ -270,22 +289,26 @@ struct Found {
     masks: Vec<PathBuf>,
 }
 
-/// Looks into all folders but those of masks and hidden ones.
+/// Looks into all folders but those of masks and hidden ones: once into each, and by its own name rather than by a link's.
 fn list(folder: &Path) -> Result<Found> {
-    let (mut found, mut folders) = (Found::default(), vec![PathBuf::new()]);
-    while let Some(inner) = folders.pop() {
+    let (mut found, mut visited) = (Found::default(), Visited::default());
+    let (mut folders, mut links) = (vec![PathBuf::new()], BinaryHeap::new());
+    while let Some(inner) = folders.pop().or_else(|| links.pop().map(|Reverse(link)| link)) {
         let path = folder.join(&inner);
+        if path.exists() && !visited.is_new(&path) {
+            continue;
+        }
         let entries = fs::read_dir(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
         for entry in entries.flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
-            let relative = inner.join(&name);
-            let text = relative.to_string_lossy().replace('\\', "/");
+            let relative = inner.join(entry.file_name());
             match entry.path().is_dir() {
                 _ if name.starts_with('.') => {}
                 true if name.starts_with("mask") => found.masks.push(entry.path()),
+                true if entry.path().is_symlink() => links.push(Reverse(relative)),
                 true => folders.push(relative),
-                false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(text),
-                false if has_ending(&name, &UNREAD) => found.others.push(text),
+                false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(name_of(&relative, &entry.path())?),
+                false if has_ending(&name, &UNREAD) => found.others.push(name_of(&relative, &entry.path())?),
                 false => {}
             }
         }
@@ -294,6 +317,13 @@ fn list(folder: &Path) -> Result<Found> {
     found.others.sort();
     found.masks.sort();
     Ok(found)
+}
+
+/// The name of the photo `file`, by which COLMAP knows it.
+fn name_of(relative: &Path, file: &Path) -> Result<String> {
+    names::of_path(relative).map_err(|problem| {
+        anyhow!("the name of the photo {} {problem}, so cameras cannot be found for it; rename it", shown(file))
+    })
 }
 
 fn has_ending(name: &str, endings: &[&str]) -> bool {
@@ -312,6 +342,21 @@ mod tests {
         fs::write(folder.join(name), name).unwrap();
     }
 
+    #[cfg(unix)]
+    #[test]
+    fn folders_that_links_lead_to_are_looked_into_once_by_their_own_names() {
+        use std::os::unix::fs::symlink;
+
+        let place = tempfile::tempdir().unwrap();
+        let [photos, elsewhere] = ["photos", "elsewhere"].map(|name| place.path().join(name));
+        ["b/2.jpg", "1.jpg"].iter().for_each(|name| file(&photos, name));
+        file(&elsewhere, "3.jpg");
+        let links =
+            [("a", "b"), ("round", "."), ("again", "."), ("b/up", ".."), ("x", "../elsewhere"), ("w", "../elsewhere")];
+        links.iter().for_each(|(name, to)| symlink(to, photos.join(name)).unwrap());
+        assert_eq!(list(&photos).unwrap().photos, ["1.jpg", "b/2.jpg", "w/3.jpg"]);
+    }
+
     #[test]
     fn photos_are_found_in_subfolders_and_masks_are_none() {
         let place = tempfile::tempdir().unwrap();
@@ -321,6 +366,18 @@ mod tests {
         let Found { photos, others, masks } = list(place.path()).unwrap();
         assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
         assert_eq!(masks, [place.path().join("masks")]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_name_that_leads_out_elsewhere_is_refused() {
+        let photos = tempfile::tempdir().unwrap();
+        for name in ["a\\..\\..\\x.jpg", "a\\2.heic", "\\x.webp"] {
+            file(photos.path(), name);
+            let refusal = Source::open(photos.path(), None).err().unwrap().to_string();
+            assert!(refusal.contains("backslash") && refusal.contains("rename it"), "{refusal}");
+            fs::remove_file(photos.path().join(name)).unwrap();
+        }
     }
 
     #[test]
@@ -460,7 +517,7 @@ mod tests {
         assert_eq!(pairs, [(photos.join("b/1.HEIC"), images.join("b/1.HEIC.jpg"))]);
         assert!(source.fill(&images, place.path(), &never).unwrap());
         assert!(place.path().join("scene/masks/b/1.HEIC.jpg.png").exists());
-        let engine = super::super::engine::Engine::Pycolmap { python: "no-such-python".into(), version: "4".into() };
+        let engine = super::super::engine::Engine::of_python("no-such-python");
         let refused = heic::convert(&pairs, &engine, place.path(), &never).unwrap_err().to_string();
         assert!(refused.contains("1 photo is HEIC") && refused.contains("pip install pillow-heif"), "{refused}");
     }

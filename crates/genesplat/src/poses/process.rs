@@ -3,16 +3,16 @@
 use std::error::Error;
 use std::fmt;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::shown;
+use genesplat::io::{own, shown};
 use genesplat::run::files::unwritable;
 
 /// A program was ended by a signal that nobody sent: the fault is its own, and may not come again.
@@ -29,17 +29,18 @@ impl Error for Crashed {}
 
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is kept in `log`.
+/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is kept in `log`, a
+/// file of ours: the program's name before each line, and what a terminal obeys as escapes, since names of photos are in it.
 /// False where `stop` has ended it.
 pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_line: impl FnMut(&str)) -> Result<bool> {
     let program = PathBuf::from(command.get_program());
-    let mut file = File::options().create(true).append(true).open(log).map_err(|error| unwritable(log, &error))?;
+    let mut file = open_log(log).map_err(|error| unwritable(log, &error))?;
+    let name = shown(program.file_name().unwrap_or_default());
     let mut child = start(command).map_err(|error| anyhow!("cannot start {}: {error}", shown(&program)))?;
-    let (sender, lines) = channel();
-    let listeners = [
-        child.stdout.take().map(|stream| listen(stream, sender.clone())),
-        child.stderr.take().map(|stream| listen(stream, sender)),
-    ];
+    let (lines, listeners) = listen_to(&mut child).map_err(|error| {
+        end(&mut child);
+        anyhow!("cannot start a thread that listens to {}: {error}; raise the limits of this process", shown(&program))
+    })?;
     let (mut last, mut error) = (String::new(), None);
     loop {
         if stop.load(Ordering::Relaxed) {
@@ -49,7 +50,7 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
         match lines.recv_timeout(PAUSE) {
             Ok(line) => {
                 // The log is for people who look for a fault; a full disk shows elsewhere.
-                let _ = writeln!(file, "{line}");
+                let _ = writeln!(file, "{name}: {}", shown(&line));
                 on_line(&line);
                 if is_error(&line) {
                     error = Some(line);
@@ -61,10 +62,10 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
             Err(RecvTimeoutError::Disconnected) => break,
         }
     }
-    listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
+    listeners.into_iter().for_each(|listener| drop(listener.join()));
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
-        let sentence = match error.unwrap_or(last).trim() {
+        let sentence = match shown(error.unwrap_or(last).trim()).as_str() {
             "" => {
                 format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program))
             }
@@ -82,6 +83,10 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     Ok(status.success())
 }
 
+fn open_log(log: &Path) -> io::Result<File> {
+    own::append(log.parent().unwrap_or(Path::new("")), log.file_name().unwrap_or_default())
+}
+
 /// Whether a line tells of an error in glog's way (`E20261127 ..`, `F1127 ..`), or in words.
 fn is_error(line: &str) -> bool {
     let is_of_glog = line.strip_prefix(['E', 'F']).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
@@ -89,7 +94,7 @@ fn is_error(line: &str) -> bool {
 }
 
 /// Its stdin is a pipe that nothing is written to: a program that listens to it learns when we are gone.
-fn start(command: &mut Command) -> std::io::Result<Child> {
+fn start(command: &mut Command) -> io::Result<Child> {
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     // Ctrl-C is ours to hear: the program is ended when there is a moment for it.
     #[cfg(unix)]
@@ -97,8 +102,18 @@ fn start(command: &mut Command) -> std::io::Result<Child> {
     command.spawn()
 }
 
-fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) -> thread::JoinHandle<()> {
-    thread::spawn(move || {
+type Listeners = Vec<thread::JoinHandle<()>>;
+
+/// The lines that a program writes, and the threads that pass them on.
+fn listen_to(child: &mut Child) -> io::Result<(Receiver<String>, Listeners)> {
+    let (sender, lines) = channel();
+    let stdout = child.stdout.take().map(|stream| listen(stream, sender.clone())).transpose()?;
+    let stderr = child.stderr.take().map(|stream| listen(stream, sender)).transpose()?;
+    Ok((lines, stdout.into_iter().chain(stderr).collect()))
+}
+
+fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) -> io::Result<thread::JoinHandle<()>> {
+    thread::Builder::new().name("listener".into()).spawn(move || {
         let mut stream = BufReader::new(stream);
         let mut bytes = Vec::new();
         while stream.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
@@ -115,14 +130,6 @@ fn end(child: &mut Child) {
     // It has ended by itself where this fails.
     let _ = child.kill();
     let _ = child.wait();
-}
-
-/// The first of these programs that `PATH` has.
-pub(crate) fn on_path(names: &[&str]) -> Option<PathBuf> {
-    let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH")?).collect();
-    let endings = if cfg!(windows) { &[".exe", ""][..] } else { &[""] };
-    let files = names.iter().flat_map(|name| endings.iter().map(move |end| format!("{name}{end}")));
-    files.flat_map(|file| folders.iter().map(move |folder| folder.join(&file))).find(|path| path.is_file())
 }
 
 #[cfg(all(test, unix))]
@@ -154,7 +161,12 @@ mod tests {
         let told = "echo E20261127 no such camera; echo 'SQLite error: database is locked'; echo 'Matching block [1/1]'; exit 1";
         let locked = run(&mut shell(told), &log.with_extension("2"), &never, |_| {}).unwrap_err().to_string();
         assert!(locked.contains("an earlier search still runs (SQLite error: database is locked)"), "{locked}");
-        assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 4);
+        let kept = genesplat::io::input::read_text(&log).unwrap();
+        assert_eq!(kept.lines().count(), 4);
+        assert!(run(&mut shell(r"printf 'a\033[2J\rb\n'"), &log, &never, |_| {}).unwrap());
+        let kept = genesplat::io::input::read_text(&log).unwrap();
+        assert!(kept.lines().all(|line| line.starts_with("sh: ")), "{kept}");
+        assert!(kept.ends_with("sh: a\\u{1b}[2J\\u{d}b\n"), "{kept}");
     }
 
     #[test]

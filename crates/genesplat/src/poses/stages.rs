@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
 use genesplat::io::photos::{lens_tags, photo_size};
-use genesplat::run::files::{make_empty, write_text};
+use genesplat::run::files::{make_empty, write_own_text};
 use genesplat::run::output;
 use genesplat::run::output::Bar;
 use rayon::prelude::*;
@@ -18,6 +18,9 @@ use super::process::{self, Crashed};
 const EXHAUSTIVE_MAX: usize = 150;
 /// Neighbours that a photo of a sequence is matched with; beside them, those at distances of powers of two.
 const NEIGHBOURS: usize = 10;
+
+/// Below the folder of the stages.
+const MODELS: &str = "models";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
@@ -38,8 +41,8 @@ impl Stage {
     }
 
     /// An empty file of this name says that the stage is done.
-    fn mark(self, work: &Path) -> PathBuf {
-        work.join(format!("{}.done", self.name()))
+    fn mark(self) -> String {
+        format!("{}.done", self.name())
     }
 }
 
@@ -75,7 +78,7 @@ impl Job {
             neighbours: is_sequence.then_some(NEIGHBOURS),
             threads,
             database: work.join("database.db"),
-            models: work.join("models"),
+            models: work.join(MODELS),
         })
     }
 
@@ -104,11 +107,11 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
     let log = work.join("engine.log");
     let mut errors_px = BTreeMap::new();
     for stage in Stage::ALL {
-        if stage.mark(work).exists() {
+        if work.join(stage.mark()).exists() {
             output::tell(&format!("{}: done already", stage.name()));
             continue;
         }
-        begin(stage, job)?;
+        begin(stage, work)?;
         let mut bar = Bar::new(stage.name(), job.total(stage) as u64);
         let mut on_line = |line: &str| {
             if let Some(done) = engine.progress(stage, line) {
@@ -119,7 +122,7 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
         let mut ended = process::run(&mut engine.command(stage, job), &log, stop, &mut on_line);
         if ended.as_ref().is_err_and(|error| error.is::<Crashed>()) {
             output::tell(&format!("notice: the search for {} crashed, and is begun once more", stage.name()));
-            begin(stage, job)?;
+            begin(stage, work)?;
             ended = process::run(&mut engine.command(stage, job), &log, stop, &mut on_line);
         }
         if !ended? {
@@ -128,7 +131,7 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
         bar.set(job.total(stage) as u64, String::new);
         // The last stage ends with the summary, which is its mark.
         if stage != Stage::Cameras {
-            write_text(&stage.mark(work), "")?;
+            write_own_text(work, &stage.mark(), "")?;
         }
     }
     engine.measure(job, &log, stop, &mut errors_px)?;
@@ -136,8 +139,8 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
 }
 
 /// Models that an earlier search has left half done are no start for another.
-fn begin(stage: Stage, job: &Job) -> Result<()> {
-    if stage == Stage::Cameras { make_empty(&job.models) } else { Ok(()) }
+fn begin(stage: Stage, work: &Path) -> Result<()> {
+    if stage == Stage::Cameras { make_empty(work, MODELS).map(drop) } else { Ok(()) }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow, bail};
 use genesplat::io::colmap::{find_model, read_model};
 use genesplat::io::{input, plural, shown};
-use genesplat::run::files::write_json;
+use genesplat::run::files::write_own_json;
 use genesplat::run::numbers::thousands;
 use serde::{Deserialize, Serialize};
 
@@ -72,7 +72,7 @@ impl Summary {
     }
 
     pub(crate) fn write(&self, work: &Path) -> Result<()> {
-        write_json(&work.join(SUMMARY), self)
+        write_own_json(work, SUMMARY, self)
     }
 
     /// One line of figures, and one of advice where photos were left out.

@@ -8,14 +8,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::photos::read_photo;
 use genesplat::io::shown;
-use genesplat::run::files::{make_empty, unwritable, write_text};
+use genesplat::run::files::{make_empty, resolved, unwritable, write_own_text};
 use genesplat::run::output;
 use genesplat::run::output::Bar;
 use rayon::prelude::*;
 
-use super::process;
+use super::{IMAGES, process};
+use crate::programs::Programs;
 use crate::sharpness::laplacian_variance;
 
+/// Below the folder of the stages: says that the frames are taken.
+const MARK: &str = "frames.done";
 /// Frames that are compared for each that stays.
 const CANDIDATES: u32 = 3;
 /// JPEG quality of ffmpeg, 2 to 31; the lower the better.
@@ -37,21 +40,23 @@ struct Video {
 
 /// Puts `frames` frames of `video`, or all if it has fewer, into `images`; false where `stop` has ended it.
 pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
-    let (mark, candidates) = (work.join("frames.done"), work.join("candidates"));
-    if mark.exists() {
+    if work.join(MARK).exists() {
         return Ok(true);
     }
-    let Some(ffmpeg) = process::on_path(&["ffmpeg"]) else {
+    let programs = Programs::default();
+    let Some(ffmpeg) = programs.find(&["ffmpeg"]) else {
         bail!("frames of a video are taken by ffmpeg, which is not on PATH; install it, or give a folder of photos");
     };
-    make_empty(&candidates)?;
-    make_empty(images)?;
-    let about = probe(&ffmpeg, video)?;
+    let candidates = make_empty(work, "candidates")?;
+    make_empty(images.parent().unwrap_or(images), IMAGES)?;
+    let command = || programs.command(&ffmpeg);
+    let about = probe(&mut command(), video)?;
     let rate = about.frames_per_second.min(f64::from(CANDIDATES * frames) / about.seconds);
-    let filters = [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&ffmpeg) } else { "" }].concat();
-    let mut command = Command::new(ffmpeg);
-    command.args(["-hide_banner", "-nostats", "-progress", "pipe:1", "-y", "-i"]).arg(video);
-    command.args(["-vf", &filters, "-q:v", QUALITY]).arg(candidates.join("%06d.jpg"));
+    let filters = [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&mut command()) } else { "" }].concat();
+    let mut command = command();
+    command.args(["-hide_banner", "-nostats", "-progress", "pipe:1", "-y", "-i"]).arg(resolved(video));
+    // Its folder may have a % in its name, which would be a part of the pattern.
+    command.args(["-vf", &filters, "-q:v", QUALITY, "%06d.jpg"]).current_dir(&candidates);
     let total = (rate * about.seconds).round().max(1.0) as u64;
     let mut bar = Bar::new("frames", total);
     let on_line = |line: &str| {
@@ -72,13 +77,13 @@ pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path,
     }
     // Only litter, from now on.
     let _ = fs::remove_dir_all(&candidates);
-    write_text(&mark, "").map(|()| true)
+    write_own_text(work, MARK, "").map(|()| true)
 }
 
-fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {
-    let ran = Command::new(ffmpeg).args(["-hide_banner", "-i"]).arg(video).output();
+fn probe(ffmpeg: &mut Command, video: &Path) -> Result<Video> {
+    let ran = ffmpeg.args(["-hide_banner", "-i"]).arg(resolved(video)).output();
     // It complains that nothing is to be written; what it has found out comes before.
-    let ran = ran.map_err(|error| anyhow!("cannot start {}: {error}", shown(ffmpeg)))?;
+    let ran = ran.map_err(|error| anyhow!("cannot start {}: {error}", shown(ffmpeg.get_program())))?;
     let said = String::from_utf8_lossy(&ran.stderr);
     parse(&said).ok_or_else(|| {
         let problem = "of which ffmpeg cannot tell length and frame rate; convert it to MP4";
@@ -87,8 +92,8 @@ fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {
 }
 
 /// What follows other filters for a video in HDR: nothing, and a notice, where this ffmpeg lacks what it takes.
-fn from_hdr(ffmpeg: &Path) -> &'static str {
-    let ran = Command::new(ffmpeg).args(["-hide_banner", "-filters"]).output();
+fn from_hdr(ffmpeg: &mut Command) -> &'static str {
+    let ran = ffmpeg.args(["-hide_banner", "-filters"]).output();
     if ran.is_ok_and(|ran| String::from_utf8_lossy(&ran.stdout).contains(" zscale ")) {
         return FROM_HDR;
     }

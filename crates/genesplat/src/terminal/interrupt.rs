@@ -1,11 +1,15 @@
-//! Ctrl-C and SIGTERM: the first ends the run cleanly, one that comes a second later or more at once.
+//! Ctrl-C and SIGTERM. While a command prepares, the first ends it at once: all loops that a stranger's file bounds are
+//! there, in our code and in others', and what is on the disk may be left at any moment. Where there are results, the first
+//! ends the run cleanly, and one that comes a second later or more ends it at once.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::thread;
 use std::time::{Duration, Instant};
-use std::{process, thread};
 
 use anyhow::{Result, anyhow};
+use genesplat_io::atomic::end_process;
+use genesplat_run::{cluster, preparing};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
@@ -17,25 +21,59 @@ pub const STOPPED: u8 = 130;
 /// Signals that come closer together are one wish: `timeout` and schedulers send several in a row.
 const ONE_WISH: Duration = Duration::from_secs(1);
 
+/// How a command ends that has something to save; `None` for one that has not.
+static STOPPING: Mutex<Option<Stopping>> = Mutex::new(None);
+
+#[derive(Clone)]
+struct Stopping {
+    stop: Arc<AtomicBool>,
+    words: &'static str,
+    first: Arc<OnceLock<Instant>>,
+}
+
+/// From now on, the first Ctrl-C or SIGTERM ends the process at once, with no file half written.
+pub fn hear() -> Result<()> {
+    listen(|| match stopping() {
+        // One that is being stopped may read again what it shows.
+        Some(Stopping { stop, words, first }) if stop.load(Ordering::Relaxed) || !is_preparing() => {
+            match Wish::at(Instant::now(), &first) {
+                Wish::Stop => {
+                    stop.store(true, Ordering::Relaxed);
+                    output::tell(words);
+                }
+                Wish::Same => {}
+                Wish::Abort => end_process(STOPPED.into()),
+            }
+        }
+        _ => end(),
+    })
+}
+
 /// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process.
-pub fn stop_flag() -> Result<Arc<AtomicBool>> {
+pub fn stop_flag() -> Arc<AtomicBool> {
     stop_flag_saying("stopping: results so far are being saved; press Ctrl-C again to abort at once")
 }
 
 /// The same with other words for who has pressed it.
-pub fn stop_flag_saying(words: &'static str) -> Result<Arc<AtomicBool>> {
+pub fn stop_flag_saying(words: &'static str) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
-    let (flag, first) = (stop.clone(), Arc::new(OnceLock::new()));
-    let handler = move || match Wish::at(Instant::now(), &first) {
-        Wish::Stop => {
-            flag.store(true, Ordering::Relaxed);
-            output::tell(words);
-        }
-        Wish::Same => {}
-        Wish::Abort => process::exit(STOPPED.into()),
-    };
-    listen(handler)?;
-    Ok(stop)
+    let stopping = Stopping { stop: stop.clone(), words, first: Arc::default() };
+    *STOPPING.lock().unwrap_or_else(PoisonError::into_inner) = Some(stopping);
+    stop
+}
+
+fn stopping() -> Option<Stopping> {
+    STOPPING.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
+
+/// One of many processes ends with the others, or they would wait for it.
+fn is_preparing() -> bool {
+    preparing::is_under_way() && !cluster::is_member()
+}
+
+fn end() -> ! {
+    output::tell("stopped before it was done; no file is left half written");
+    end_process(STOPPED.into())
 }
 
 /// How often signals are looked for: a handler itself may do no more than set a flag.

@@ -40,7 +40,7 @@ pub fn run<A: Parser + UnwindSafe>(
         Err(error) => return refuse(&error, moved),
     };
     output::set_volume(volume(&arguments));
-    match panic::catch_unwind(|| work(arguments)) {
+    match panic::catch_unwind(|| interrupt::hear().and_then(|()| work(arguments))) {
         Ok(Ok(ending)) => {
             output::tell_notes();
             ending.into()

@@ -10,7 +10,7 @@ use genesplat::io::photos::write_png;
 use genesplat::io::{Point, read_ply};
 
 #[cfg(target_os = "linux")]
-use crate::support::{command, judge_failure, started_by};
+use crate::support::{command, json, judge_failure, started_by};
 use crate::support::{fail, scene, succeed, text};
 
 /// Photos of the street, px.
@@ -138,6 +138,17 @@ fn blocks_are_trained_one_by_one_and_merged() {
         &["no splat is there yet of block 1-0", &second[.."genesplat train '".len()], "--train-on-all"],
     );
     works(&format!("{second} {QUICK}"));
+    // A photo that both have was another one when the second began.
+    let inputs = blocks.join("runs/1-0/inputs.json");
+    let (before, mut other) = (fs::read(&inputs).unwrap(), json(&inputs));
+    let photos = other["scene"]["photos"].as_array_mut().unwrap();
+    assert_eq!(photos[1]["name"], "p05.png");
+    photos[1]["photo"] = photos[0]["photo"].clone();
+    fs::write(&inputs, other.to_string()).unwrap();
+    let words =
+        ["runs/0-0", "runs/1-0", "photo p05.png is not what the run began with", "split the scene as it is now"];
+    judge_failure(in_shell(merge, place.path()), &words);
+    fs::write(&inputs, before).unwrap();
     works(merge);
 
     // Every block gives what stands on its side of the cut, and nothing else. On the cut itself stand some points, rounded to either.

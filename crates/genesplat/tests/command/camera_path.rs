@@ -50,14 +50,41 @@ fn ffmpeg_makes_films_where_it_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     succeed(train(scene(), &run, &["--iterations", "40"]));
-    for (name, magic) in [("film.mp4", &b"ftyp"[..]), ("film.gif", b"GIF8")] {
+    // What stands for a number in names of pictures is a name like any other.
+    let names = [("film.mp4", &b"ftyp"[..]), ("film.gif", b"GIF8"), ("100%.mp4", b"ftyp"), ("a:%03d.gif", b"GIF8")];
+    for (name, magic) in names {
         let film = folder.path().join(name);
         let path = ["--path", "orbit", "--frames", "6", "--out", text(&film)];
         succeed([&["render", text(&run), "--data", text(scene()), "--device", "cpu"][..], &path].concat());
         assert!(fs::read(&film).unwrap()[..12].windows(4).any(|bytes| bytes == magic), "{name}");
         let left = fs::read_dir(folder.path()).unwrap().count();
-        assert!(left <= 3, "{left} files");
+        assert!(left <= 5, "{left} files");
     }
+}
+
+/// A program that keeps the frames as they are stands for ffmpeg.
+#[cfg(unix)]
+#[test]
+fn a_film_is_written_into_a_file_of_ours_and_takes_the_place_that_a_link_leads_to() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let [run, programs, out] = ["run", "programs", "out"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &run, &["--iterations", "3"]));
+    [&programs, &out].into_iter().for_each(|folder| fs::create_dir(folder).unwrap());
+    // The file is there, and a file, before ffmpeg opens it.
+    let program = "#!/bin/sh\nfor file; do :; done\nfile=\"${file#file:}\"\n[ -f \"$file\" ] && [ ! -L \"$file\" ] && cat >\"$file\"\n";
+    fs::write(programs.join("ffmpeg"), program).unwrap();
+    fs::set_permissions(programs.join("ffmpeg"), fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let [link, film] = ["link%d.gif", "film.gif"].map(|name| out.join(name));
+    std::os::unix::fs::symlink("film.gif", &link).unwrap();
+    let arguments = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit"];
+    let more = ["--frames", "3", "--out", text(&link)];
+    let rendered = command(arguments.iter().chain(&more)).env("PATH", path).output().unwrap();
+    assert!(rendered.status.success(), "{}", String::from_utf8_lossy(&rendered.stderr));
+    assert!(link.is_symlink() && fs::metadata(&film).unwrap().len() == 3 * 64 * 48 * 3);
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 2);
 }
 
 #[cfg(unix)]
@@ -78,8 +105,8 @@ fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
     fs::create_dir_all(&out).unwrap();
     fs::create_dir(&programs).unwrap();
     let ffmpeg = programs.join("ffmpeg");
-    // The last word is the file to write.
-    let program = "#!/bin/sh\nfor file; do :; done\n: >\"$file\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
+    // The last word is the file to write, after its protocol.
+    let program = "#!/bin/sh\nfor file; do :; done\n: >\"${file#file:}\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
     fs::write(&ffmpeg, program).unwrap();
     fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());

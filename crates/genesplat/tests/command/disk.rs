@@ -112,7 +112,7 @@ fn a_run_whose_folder_has_vanished_is_saved_when_it_is_stopped_and_goes_on_as_it
     let (status, said) = run_without_its_folder(&out, &schedule, Some("-INT"));
     assert!(status == Some(130) && said.contains("was removed while this run wrote to it"), "{status:?} {said}");
     let mut arguments = train(scene(), &out, &schedule);
-    advance(&mut arguments, |_| false);
+    advance(&mut arguments, &|arguments| command(arguments), |_| false);
     assert!(arguments.iter().any(|word| word == "--resume"), "it says what the next command wants");
     assert_same_run(&out, &whole);
 }

@@ -30,7 +30,7 @@ fn rename_photo(scene: &Path, index: usize, name: &str) {
 }
 
 /// What a command says and how it ends; one that hangs is killed, and the test fails.
-fn end_of<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
+pub(crate) fn end_of<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     const PATIENCE: Duration = Duration::from_secs(120);
     let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let began = Instant::now();

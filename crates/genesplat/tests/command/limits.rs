@@ -6,10 +6,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use genesplat::core::Gaussians;
 use genesplat::gallery::{self, GalleryOptions};
+use genesplat::io::{Format, PlyOptions, write_ply};
 
 use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
-use crate::support::{command, json, judge_failure, limited, number, scene, succeed, train};
+use crate::poses::{pretended_python, said};
+use crate::support::{command, json, judge_failure, limited, number, scene, succeed, text, train};
 
 fn under(limits: &str, arguments: &[String]) -> Output {
     limited(limits, &command(arguments)).output().unwrap()
@@ -32,7 +35,7 @@ fn a_file_that_may_not_grow_is_a_write_error_and_costs_nothing() {
                 failed += 1;
             }
         }
-        advance(&mut arguments, |_| false);
+        advance(&mut arguments, &|arguments| command(arguments), |_| false);
         assert_same_run(&out, &whole);
     }
     assert!(failed >= 4 && done >= 1, "{failed} failed, {done} came to their end");
@@ -77,7 +80,7 @@ impl Growing {
             assert_eq!(output.status.code(), Some(1), "{limit} MiB: {said}");
             assert!(last.starts_with("error: ") || last.starts_with("memory allocation of"), "{limit} MiB: {said}");
             assert!(!said.contains("bug in genesplat"), "{limit} MiB: {said}");
-            advance(&mut arguments, |_| false);
+            advance(&mut arguments, &|arguments| command(arguments), |_| false);
         }
         assert_same_run(out, &self.whole);
         last
@@ -118,4 +121,65 @@ fn a_thread_that_cannot_be_started_is_a_sentence() {
     let mut run = limited("-v 1100000", &command(&arguments));
     let output = run.env("RUST_MIN_STACK", (300 << 20).to_string()).env("MALLOC_ARENA_MAX", "1").output().unwrap();
     judge_failure(output, &["cannot start 1000 threads", "fewer --threads"]);
+}
+
+/// A splat as large as what a process has beside it, so that each of its copies may be the one that finds no memory.
+#[test]
+fn a_splat_that_is_larger_than_memory_is_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let [small, large] = [1, 60_000].map(|rows| {
+        let file = place.path().join(format!("{rows}.ply"));
+        write_ply(&file, &Gaussians::zeros(rows), &PlyOptions::default()).unwrap();
+        file
+    });
+    let within = |limit: u32, arguments: &[&str]| {
+        let mut run = limited(&format!("-v {}", limit * 1024), &command(arguments));
+        run.env("MALLOC_ARENA_MAX", "1").output().unwrap()
+    };
+    let starts = |limit: &u32| within(*limit, &["inspect", text(&small)]).status.success();
+    let least = (16..1000).step_by(4).find(starts).expect("a process starts");
+    let outs = Format::ALL.map(|format| place.path().join(format!("out{}", format.ending())));
+    let convert = outs.iter().map(|out| vec!["convert", text(&large), text(out), "--threads", "1"]);
+    for arguments in convert.chain([vec!["inspect", text(&large)]]) {
+        let (mut failed, mut done) = (0, 0);
+        for limit in (least + 2..least + 200).step_by(9) {
+            let output = within(limit, &arguments);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            match output.status.code() {
+                Some(0) => done += 1,
+                _ => {
+                    judge_failure(output, &[]);
+                    failed += 1;
+                }
+            }
+            assert!(!said.contains("memory allocation of"), "{arguments:?} within {limit} MiB: {said}");
+        }
+        assert!(failed >= 1 && done >= 1, "{arguments:?}: {failed} failed, {done} came to their end");
+    }
+}
+
+/// The same of the threads that listen to a program: with stacks of 300 MiB, and room for one more of them each time.
+#[test]
+fn a_thread_that_cannot_listen_to_a_program_is_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let python = pretended_python(place.path(), ":");
+    let (photos, found) = (scene().join("images"), place.path().join("scene"));
+    let (mut deaf, mut done) = (0, 0);
+    for stacks in 1..12 {
+        let poses = command(["poses", text(&photos), "--out", text(&found), "--threads", "1"]);
+        let mut poses = limited(&format!("-v {}", 150_000 + 310_000 * stacks), &poses);
+        poses
+            .env("RUST_MIN_STACK", (300 << 20).to_string())
+            .env("MALLOC_ARENA_MAX", "1")
+            .env("GENESPLAT_PYTHON", &python);
+        let output = poses.output().unwrap();
+        match output.status.code() {
+            Some(0) => done += 1,
+            _ => {
+                deaf += usize::from(said(&output).contains("cannot start a thread that listens to"));
+                judge_failure(output, &["cannot", "thread"]);
+            }
+        }
+    }
+    assert!(deaf >= 1 && done >= 1, "{deaf} could not listen, {done} came to their end");
 }

@@ -250,11 +250,7 @@ fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
     };
     assert!(psnr("after  train") > psnr("before train") + 0.3, "{said}");
     assert!(psnr("after  test") > psnr("before test"), "{said}");
-    assert_eq!(
-        genesplat::io::read_ply(&folder.path().join("1.ply")).unwrap().len(),
-        rows,
-        "none is added"
-    );
+    assert_eq!(genesplat::io::read_ply(&folder.path().join("1.ply")).unwrap().len(), rows, "none is added");
     assert!(one == refined("2").0 && one == refined("7").0);
 }
 

@@ -14,7 +14,7 @@ use super::{
     VERSION, harmonic,
 };
 use crate::format::packing::{half_turn_about_x, log_scale, opacity_logit, word};
-use crate::format::{Decoded, FormatError, check_claim};
+use crate::format::{Decoded, FormatError, check_claim, ensure_memory};
 
 pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> {
     let damaged = |problem: String| FormatError::damaged(path, problem);
@@ -28,8 +28,12 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
     check_in_place(&document, &meshes).map_err(|problem| FormatError::unsupported(path, problem))?;
     let mut cloud = Gaussians::default();
     let mut sh_degree = 0;
+    let accessors = document.accessors.iter();
+    let most = accessors.map(|accessor| accessor.count).max().unwrap_or(0).min(bytes.len());
     for primitive in document.meshes.iter().flat_map(|mesh| &mesh.primitives).filter(is_splat) {
         check_supported(&primitive.extensions[EXTENSION]).map_err(|problem| FormatError::unsupported(path, problem))?;
+        // Of what there is, a part is moved to make room.
+        ensure_memory(path, 2, cloud.len() + most)?;
         let degree = append(&mut cloud, &document, binary, primitive).map_err(damaged)?;
         sh_degree = degree.max(sh_degree);
         // Primitives may share their bytes.

@@ -20,15 +20,21 @@ const UNSIGNED_BYTE: u32 = 5121;
 const ARRAY_BUFFER: u32 = 34962;
 const POINTS: u32 = 0;
 
-pub(in crate::format) fn encode(path: &Path, cloud: &Gaussians) -> Result<Vec<u8>, FormatError> {
-    let mut cloud = cloud.clone();
+pub(in crate::format) fn encode(path: &Path, mut cloud: Gaussians) -> Result<Vec<u8>, FormatError> {
     half_turn_about_x(&mut cloud);
-    let mut parts = Parts { count: cloud.len(), ..Parts::default() };
+    let binary = Vec::with_capacity(row_bytes(cloud.sh_degree_in_use()) * cloud.len());
+    let mut parts = Parts { count: cloud.len(), binary, ..Parts::default() };
     add_attributes(&mut parts, &cloud);
+    drop(cloud);
     let document = parts.document();
     join(&document, &parts.binary).ok_or_else(|| {
         FormatError::unsupported(path, "would be larger than the 4 GiB that a .glb can have; write an .spz")
     })
+}
+
+/// What [`add_attributes`] writes of a Gaussian: position, rotation, scales, opacity, harmonics, and four bytes of colour.
+fn row_bytes(sh_degree: u8) -> usize {
+    (3 + 4 + 3 + 1 + 3 * coefficients(sh_degree)) * size_of::<f32>() + 4
 }
 
 fn add_attributes(parts: &mut Parts, cloud: &Gaussians) {
@@ -121,7 +127,8 @@ fn join(document: &Value, binary: &[u8]) -> Option<Vec<u8>> {
     json.resize(json.len().next_multiple_of(4), b' ');
     let padded = binary.len().next_multiple_of(4);
     let length = u32::try_from(12 + 8 + json.len() + 8 + padded).ok()?;
-    let mut bytes = MAGIC.to_vec();
+    let mut bytes = Vec::with_capacity(length as usize);
+    bytes.extend(MAGIC);
     [VERSION, length, json.len() as u32].iter().for_each(|word| bytes.extend(word.to_le_bytes()));
     bytes.extend(JSON_CHUNK);
     bytes.extend(json);

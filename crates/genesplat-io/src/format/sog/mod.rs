@@ -164,7 +164,9 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
         positions: read_means(&mut archive, &meta.means, count)?,
         log_scales: read_scales(&mut archive, &meta.scales, count)?,
         rotations: read_rotations(&mut archive, &meta.quats, count)?,
-        ..Gaussians::default()
+        opacity_logits: Vec::with_capacity(count),
+        sh: Vec::with_capacity(count),
+        filter_3d: None,
     };
     for [r, g, b, alpha] in archive.pixels(&meta.sh0.files[0], count)? {
         let mut row = [0.0; SH_STRIDE];

@@ -9,6 +9,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::FormatError;
 use super::meta::Meta;
+use crate::archive::entries;
 
 /// Sides of a WebP picture have 14 bits.
 const SIDE_MAX: usize = 1 << 14;
@@ -105,8 +106,8 @@ pub(super) struct Archive<'a> {
 
 impl<'a> Archive<'a> {
     pub(super) fn open(path: &'a Path, bytes: &'a [u8]) -> Result<Self, FormatError> {
-        let zip = ZipArchive::new(Cursor::new(bytes))
-            .map_err(|error| FormatError::damaged(path, format!("is no readable ZIP file ({error})")))?;
+        let zip = entries::open(Cursor::new(bytes))
+            .map_err(|problem| FormatError::damaged(path, format!("is no readable ZIP file: it {problem}")))?;
         Ok(Self { path, zip })
     }
 

@@ -8,9 +8,9 @@ use genesplat_core::{DeviceState, Gaussians, Moments, Photo, StateMean, Statisti
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::CheckpointError;
 use super::joint::JointWriter;
 use super::summed::Summed;
+use super::{CheckpointError, MAGIC};
 
 /// Floats or numbers that are written or read at once.
 const PIECE: usize = 1 << 18;
@@ -29,6 +29,11 @@ impl<W: Write> JointWriter<'_, W> {
     /// A value that all have.
     pub(super) fn value(&mut self, value: &impl Serialize) {
         self.bytes(&bytes_of(value));
+    }
+
+    pub(super) fn text(&mut self, text: &str) {
+        self.value(&text.len());
+        self.bytes(text.as_bytes());
     }
 
     /// A column of rows of `N` floats.
@@ -100,6 +105,26 @@ impl<R: Read> ColumnReader<'_, R> {
         }
     }
 
+    /// The text behind the magic number.
+    pub(super) fn origin(&mut self) -> Result<String, CheckpointError> {
+        let mut magic = [0; MAGIC.len()];
+        self.input.read_exact(&mut magic).map_err(|error| self.input.cause_of(error))?;
+        if magic != MAGIC {
+            return Err(CheckpointError::Foreign);
+        }
+        let length = self.value::<usize>()?;
+        let text = self.bytes(length as u64)?;
+        String::from_utf8(text).map_err(|_| CheckpointError::Damaged("what its run began with is no text"))
+    }
+
+    /// So many bytes; memory is taken for those that are there.
+    fn bytes(&mut self, count: u64) -> Result<Vec<u8>, CheckpointError> {
+        let mut bytes = Vec::new();
+        let read = (&mut self.input).take(count).read_to_end(&mut bytes);
+        read.map_err(|error| self.input.cause_of(error))?;
+        if bytes.len() as u64 == count { Ok(bytes) } else { Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()) }
+    }
+
     /// A column of rows of `N` floats.
     fn floats<const N: usize>(&mut self) -> Result<Vec<[f32; N]>, CheckpointError> {
         self.words(|row| row.map(f32::from_le_bytes))
@@ -167,13 +192,7 @@ impl<R: Read> ColumnReader<'_, R> {
 
     fn picture(&mut self) -> Result<Photo, CheckpointError> {
         let [width, height] = self.value::<[u32; 2]>()?;
-        let (bytes, mut rgb) = ((3 * u64::from(width)).saturating_mul(height.into()), Vec::new());
-        let read = (&mut self.input).take(bytes).read_to_end(&mut rgb);
-        read.map_err(|error| self.input.cause_of(error))?;
-        if rgb.len() as u64 == bytes {
-            Ok(Photo { width, height, rgb })
-        } else {
-            Err(io::Error::from(io::ErrorKind::UnexpectedEof).into())
-        }
+        let rgb = self.bytes((3 * u64::from(width)).saturating_mul(height.into()))?;
+        Ok(Photo { width, height, rgb })
     }
 }

@@ -1,7 +1,7 @@
 //! All that a run needs to go on as if it had never stopped, and its bytes.
 //!
 //! Randomness needs no state (streams are addressed by iteration), so a checkpoint is the device's contents plus a few
-//! counters. The format is private to this version of the crate: a magic number, counters as `postcard` writes them, columns
+//! counters. The format is private to this version of the crate: a magic number, what the run began with, counters as `postcard` writes them, columns
 //! of rows, and a checksum over everything, so that a file cut short by a full disk is recognised.
 
 use std::io::{self, Read, Write};
@@ -25,7 +25,7 @@ mod joint;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x0d";
+const MAGIC: [u8; 8] = *b"GSPLATC\x0e";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -75,6 +75,9 @@ impl Progress {
 /// A run that can be resumed exactly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
+    /// What the run began with, in words of whoever runs it, who tells by them whose checkpoint it is. Empty where nobody has
+    /// said so.
+    pub origin: String,
     /// Where to go on.
     pub cursor: Cursor,
     /// What was done.
@@ -112,6 +115,7 @@ impl Checkpoint {
     pub fn write_together(&self, writer: impl Write, owners: &dyn RowOwners) -> io::Result<()> {
         let mut out = JointWriter::new(Summed::new(writer), owners);
         out.bytes(&MAGIC);
+        out.text(&self.origin);
         out.value(&self.cursor);
         out.value(&self.progress);
         out.state(&self.state)?;
@@ -130,15 +134,11 @@ impl Checkpoint {
     /// The same, of which only some rows are kept: `share` says which, of so many.
     pub fn read_share(reader: impl Read, share: &dyn Fn(usize) -> Range<usize>) -> Result<Self, CheckpointError> {
         let mut columns = ColumnReader { input: Summed::new(reader), share };
-        let mut magic = [0; MAGIC.len()];
-        columns.input.read_exact(&mut magic)?;
-        if magic != MAGIC {
-            return Err(CheckpointError::Foreign);
-        }
+        let origin = columns.origin()?;
         let (cursor, progress) = (columns.value()?, columns.value()?);
         let state = columns.state()?;
         let virtual_pictures = columns.pictures()?;
-        let checkpoint = Self { cursor, progress, state, virtual_pictures };
+        let checkpoint = Self { origin, cursor, progress, state, virtual_pictures };
         let (mut sum, Summed { mut inner, sum: expected, .. }) = ([0; 8], columns.input);
         inner.read_exact(&mut sum)?;
         if u64::from_le_bytes(sum) != expected {
@@ -149,6 +149,11 @@ impl Checkpoint {
         }
         checkpoint.check()?;
         Ok(checkpoint)
+    }
+
+    /// What the run began with, from the first bytes of its checkpoint; nothing behind them is looked at.
+    pub fn read_origin(reader: impl Read) -> Result<String, CheckpointError> {
+        ColumnReader { input: Summed::new(reader), share: &|_| 0..0 }.origin()
     }
 
     fn check(&self) -> Result<(), CheckpointError> {
@@ -198,6 +203,7 @@ mod tests {
             seconds: 1.5,
         };
         Checkpoint {
+            origin: "seed = 7".into(),
             cursor: Cursor { iteration: 6000, event: Event::Search },
             progress: Progress {
                 sh_degree_start: 2,
@@ -233,6 +239,7 @@ mod tests {
     fn a_checkpoint_survives_the_round_trip_bit_for_bit() {
         let mut checkpoint = example();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
+        assert_eq!(Checkpoint::read_origin(&bytes(&checkpoint)[..40]).unwrap(), checkpoint.origin);
         checkpoint.state.cloud.filter_3d = None;
         checkpoint.virtual_pictures.clear();
         checkpoint.state.statistics.gene_gradient_sum.clear();
@@ -313,7 +320,9 @@ mod tests {
 
     #[test]
     fn a_damaged_length_ends_at_the_end_of_the_file() {
-        let columns = [&MAGIC[..], &[1, 0, 0, 0, 0], &[0; 16], &[0]].concat();
+        let origin = [&MAGIC[..], &[0xff, 0xff, 0xff, 0xff, 0x7f], &[b'x'; 64]].concat();
+        assert!(matches!(Checkpoint::read_origin(origin.as_slice()), Err(CheckpointError::Io(_))));
+        let columns = [&MAGIC[..], &[0], &[1, 0, 0, 0, 0], &[0; 16], &[0]].concat();
         let huge = [&columns[..], &[0xff, 0xff, 0xff, 0xff, 0x7f], &[0; 64]].concat();
         assert!(matches!(Checkpoint::read(huge.as_slice()), Err(CheckpointError::Io(_))));
     }

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Output, Stdio};
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
@@ -33,15 +33,43 @@ pub(super) struct Course {
     pub(super) duration: Duration,
 }
 
+/// `command` where no file gets a second name, so that photos are copied.
+pub(crate) fn without_links(mut command: Command) -> Command {
+    command.env("LD_PRELOAD", &LIBRARY.1).env("KILLER_NO_LINKS", "1");
+    command
+}
+
+/// `command`, killed before the file `name` appears whole.
+pub(crate) fn killed_before_rename_of(mut command: Command, name: &str) -> Command {
+    command.env("LD_PRELOAD", &LIBRARY.1).env("KILLER_BEFORE", name);
+    command
+}
+
+/// `command` on a disk that is full for the file `name`.
+pub(crate) fn on_a_full_disk(mut command: Command, name: &str) -> Command {
+    command.env("LD_PRELOAD", &LIBRARY.1).env("KILLER_FULL", name);
+    command
+}
+
 /// Runs `command` to its end, which must be a good one.
-pub(super) fn observe(mut command: Command) -> Course {
+pub(super) fn observe(command: Command) -> Course {
+    let (course, output) = watch(command);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    course
+}
+
+/// The same, for any end.
+pub(super) fn observe_any(command: Command) -> Course {
+    watch(command).0
+}
+
+fn watch(mut command: Command) -> (Course, Output) {
     let place = tempfile::tempdir().unwrap();
     let log = place.path().join("calls");
     let began = Instant::now();
     let output = command.env("LD_PRELOAD", &LIBRARY.1).env("KILLER_LOG", &log).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let calls = fs::read_to_string(log).unwrap_or_default().lines().map(str::to_owned).collect();
-    Course { calls, duration: began.elapsed() }
+    (Course { calls, duration: began.elapsed() }, output)
 }
 
 /// Runs `command`, and kills it; it may have come to its end before.

@@ -5,31 +5,31 @@ use std::fs;
 use std::os::unix::process::ExitStatusExt;
 use std::panic;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::Duration;
 
 use tempfile::TempDir;
 
 use super::killer::{Course, Moment, kill, observe};
-use crate::support::{command, copy, json, run, scene, succeed, train};
+use crate::support::{copy, json, scene, succeed, train};
 
 pub(crate) const SIGKILL: i32 = 9;
 /// Scenarios that share the kills.
-const SCENARIOS: usize = 3;
+const SCENARIOS: usize = 6;
 /// The whole schedule in sixty steps, averages included, and a checkpoint in every twentieth.
-pub(crate) const SCHEDULE: [&str; 4] = [
-    "--steps-scale=0.002",
-    "--max-gaussians=400",
-    "--checkpoint-every=20",
-    "--no-lpips",
-];
+pub(crate) const SCHEDULE: [&str; 4] =
+    ["--steps-scale=0.002", "--max-gaussians=400", "--checkpoint-every=20", "--no-lpips"];
 
-fn kills() -> usize {
-    let wanted = std::env::var("GENESPLAT_KILLS").map_or(60, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
+pub(crate) fn kills() -> usize {
+    let wanted =
+        std::env::var("GENESPLAT_KILLS").map_or(120, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
     wanted / SCENARIOS
 }
 
 /// Something that is started in a folder, killed, and started again until it is done.
 pub(crate) struct Scenario<'a> {
+    /// The command is started in this way.
+    pub(crate) start: fn(Vec<String>) -> Command,
     /// What is in the folder before.
     pub(crate) before: Option<&'a Path>,
     /// The command, for a folder.
@@ -51,7 +51,7 @@ impl Scenario<'_> {
     pub(crate) fn withstands(&self, name: &str) {
         let place = self.folder();
         let out = place.path().join("out");
-        let course = observe(command((self.arguments)(&out)));
+        let course = observe((self.start)((self.arguments)(&out)));
         (self.check_end)(&out);
         assert!(course.calls.len() > 20, "{:?}", course.calls);
         let (mut killed, moments) = (0, moments(&course, kills()));
@@ -73,23 +73,28 @@ impl Scenario<'_> {
         let place = self.folder();
         let out = place.path().join("out");
         let mut arguments = (self.arguments)(&out);
-        let is_killed = kill(command(&arguments), moment).signal() == Some(SIGKILL);
+        let start = |arguments: &[String]| (self.start)(arguments.to_vec());
+        let is_killed = kill(start(&arguments), moment).signal() == Some(SIGKILL);
         if let Some(second) = second.filter(|_| is_killed) {
-            advance(&mut arguments, |arguments| kill(command(arguments), second).signal() == Some(SIGKILL));
+            advance(&mut arguments, &start, |arguments| kill(start(arguments), second).signal() == Some(SIGKILL));
         }
-        advance(&mut arguments, |_| false);
+        advance(&mut arguments, &start, |_| false);
         (self.check_end)(&out);
         is_killed
     }
 }
 
 /// Starts a command again as its messages advise, until it succeeds; or until `is_killed`, which starts it first.
-pub(crate) fn advance(arguments: &mut Vec<String>, is_killed: impl Fn(&[String]) -> bool) {
+pub(crate) fn advance(
+    arguments: &mut Vec<String>,
+    start: &dyn Fn(&[String]) -> Command,
+    is_killed: impl Fn(&[String]) -> bool,
+) {
     for _ in 0..4 {
         if is_killed(arguments) {
             return;
         }
-        let output = run(&*arguments);
+        let output = start(arguments).output().unwrap();
         if output.status.success() {
             return;
         }
@@ -99,7 +104,11 @@ pub(crate) fn advance(arguments: &mut Vec<String>, is_killed: impl Fn(&[String])
         } else if said.contains("start the run without --resume") || said.contains("is not the folder of a run") {
             arguments.retain(|word| word != "--resume");
         } else {
-            let is_done = ["is finished, so there is nothing to resume", "holds the results of a run"];
+            let is_done = [
+                "is finished, so there is nothing to resume",
+                "holds the results of a run",
+                "is there already and not empty; give --out a new folder",
+            ];
             assert!(is_done.iter().any(|words| said.contains(words)), "{said}");
             return;
         }
@@ -107,7 +116,7 @@ pub(crate) fn advance(arguments: &mut Vec<String>, is_killed: impl Fn(&[String])
     panic!("messages go round and round: {arguments:?}");
 }
 
-fn shown(moment: Moment, course: &Course) -> String {
+pub(crate) fn shown(moment: Moment, course: &Course) -> String {
     match moment {
         Moment::Call(n) => format!("call {n}, {}", course.calls[n - 1]),
         Moment::After(duration) => format!("{duration:?} of {:?}", course.duration),
@@ -115,7 +124,7 @@ fn shown(moment: Moment, course: &Course) -> String {
 }
 
 /// Four of five at calls, as long as there are others; the rest where multiples of the golden ratio fall.
-fn moments(course: &Course, count: usize) -> Vec<Moment> {
+pub(crate) fn moments(course: &Course, count: usize) -> Vec<Moment> {
     let at_calls = (count * 4 / 5).min(course.calls.len());
     let calls = (0..at_calls).map(|i| Moment::Call(1 + i * course.calls.len() / at_calls));
     let fraction = |i: usize| (i as f64 * 0.618_033_988_75).fract();
