@@ -60,7 +60,10 @@ fn every_setting_stands_in_the_document_as_the_code_explains_it() {
     }
     // A default where a setting is the method's own, and nothing where it is not.
     let line = |setting: &str| page.lines().find(|line| line.starts_with(&format!("| `{setting}` |"))).unwrap();
-    assert!(line("position_rate_start").starts_with("| `position_rate_start` | 4e-5 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 4e-5 | Rate"));
+    assert!(
+        line("position_rate_start")
+            .starts_with("| `position_rate_start` | 4e-5 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 4e-5 | Rate")
+    );
     assert!(line("opacity_rate").starts_with("| `opacity_rate` | 0.025 | 0.05 | 0.05 |"));
     assert!(line("noise").starts_with("| `noise` |  |  |  |  | 500000 |  | Exploration noise"), "{}", line("noise"));
     assert!(line("averaging").starts_with("| `averaging` | true | false |"));

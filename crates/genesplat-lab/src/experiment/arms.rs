@@ -251,12 +251,10 @@ mod tests {
         let method = |method, arm| settings(&experiment, method, arm).config().method.clone();
         use MethodName::{Genesplat, PixelGs, ThreeDgs};
         let names = |arm| [0, 1].map(|cell| method(cell, arm).name);
-        assert_eq!([0, 1, 2, 3].map(names), [
-            [ThreeDgs, PixelGs],
-            [Genesplat, Genesplat],
-            [Genesplat, Genesplat],
-            [ThreeDgs, PixelGs]
-        ]);
+        assert_eq!(
+            [0, 1, 2, 3].map(names),
+            [[ThreeDgs, PixelGs], [Genesplat, Genesplat], [Genesplat, Genesplat], [ThreeDgs, PixelGs]]
+        );
         // What all cells have is none of the other method's.
         assert_eq!([0, 1, 2, 3].map(|arm| method(0, arm).prune_size), [9.0, 0.1, 0.1, 9.0]);
         assert_eq!([0, 1, 2, 3].map(|arm| method(1, arm).averaging), [false, true, false, true]);
@@ -264,7 +262,8 @@ mod tests {
 
     #[test]
     fn what_would_make_all_arms_the_same_is_refused() {
-        let refusal = |text: &str| Experiment::new(file(&format!("search = [\"off\"]\n{text}"))).unwrap_err().to_string();
+        let refusal =
+            |text: &str| Experiment::new(file(&format!("search = [\"off\"]\n{text}"))).unwrap_err().to_string();
         for named in ["config.method = \"mcmc\"", "config.method = { name = \"mcmc\" }"] {
             assert!(refusal(named).contains("list it in `methods`"), "{}", refusal(named));
         }

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::{LoadOptions, Scene, load_points, shown};
 use genesplat::run::METRICS;
+use genesplat::run::files::check_name;
 use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::output;

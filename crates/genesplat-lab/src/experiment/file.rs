@@ -231,7 +231,10 @@ mod tests {
         };
         assert!(refusal("variants").starts_with("`variants` is `methods`, "), "{}", refusal("variants"));
         let evolve = refusal("evolve");
-        assert!(evolve.starts_with("`evolve` is `search`, ") && evolve.contains("config.method = \"genesplat\""), "{evolve}");
+        assert!(
+            evolve.starts_with("`evolve` is `search`, ") && evolve.contains("config.method = \"genesplat\""),
+            "{evolve}"
+        );
         assert!(refusal("scences").contains("unknown field `scences`"), "{}", refusal("scences"));
     }
 }

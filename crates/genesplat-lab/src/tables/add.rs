@@ -13,7 +13,8 @@ const ARM: [&str; 4] = ["scene", "max_side", "iterations", "arm"];
 /// What the column of the method is called: today, and in files of earlier versions.
 const METHOD: [&str; 2] = ["method", "variant"];
 /// Arms, and what files of earlier versions call them.
-const OLD_ARMS: [(&str, &str); 3] = [("genetic", "paper"), ("genesplat", "renew"), ("genesplat-sooner", "renew-sooner")];
+const OLD_ARMS: [(&str, &str); 3] =
+    [("genetic", "paper"), ("genesplat", "renew"), ("genesplat-sooner", "renew-sooner")];
 
 /// Where runs were made.
 pub(crate) struct Made<'a> {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 
-use super::{BASELINE, OURS, Figures, IMPROVED, Part, Run, SINGLE, difference, markdown, runs_in, thousands};
+use super::{BASELINE, Figures, IMPROVED, OURS, Part, Run, SINGLE, difference, markdown, runs_in, thousands};
 
 /// Runs whose seconds were measured apart from their figures, and runs on graphics cards.
 const SECONDS: &str = "seconds";

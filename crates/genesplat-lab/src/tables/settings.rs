@@ -85,7 +85,8 @@ fn methods(root: &Path) -> Result<String> {
     let head = row(["setting".to_owned()].into_iter().chain(names).chain(["what".to_owned()]));
     let mut page = format!("{METHODS}\n{head}{}\n", "|---".repeat(MethodName::ALL.len() + 2) + "|");
     for (field, text) in METHOD.fields(root)? {
-        let defaults: Vec<String> = own.iter().map(|settings| settings.get(&field).map(number).unwrap_or_default()).collect();
+        let defaults: Vec<String> =
+            own.iter().map(|settings| settings.get(&field).map(number).unwrap_or_default()).collect();
         if defaults.iter().all(String::is_empty) {
             bail!("`{field}` is a setting of no method");
         }
@@ -147,5 +148,7 @@ fn fields(code: &str, start: &str) -> Result<Vec<(String, String)>> {
 /// Name and type of a field.
 fn field(line: &str) -> Option<(&str, &str)> {
     let public = line.strip_prefix("pub(crate) ").or(line.strip_prefix("pub ")).unwrap_or(line);
-    public.split_once(": ").filter(|(name, _)| name.bytes().all(|byte| byte.is_ascii_lowercase() || b"_0123456789".contains(&byte)))
+    public
+        .split_once(": ")
+        .filter(|(name, _)| name.bytes().all(|byte| byte.is_ascii_lowercase() || b"_0123456789".contains(&byte)))
 }

@@ -6,6 +6,7 @@
 
 #![cfg(target_os = "linux")]
 
+#[allow(dead_code, reason = "the command's tests use the rest")]
 #[path = "../../../genesplat/tests/command/kills/killer.rs"]
 mod killer;
 #[allow(dead_code, reason = "the command's tests use the rest")]
