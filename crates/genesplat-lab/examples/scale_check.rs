@@ -63,7 +63,7 @@ fn train(scene: &Path, out: &Path, seed: &str, options: &[String]) -> f64 {
     let program = examples.ancestors().nth(2).expect("it is in target/release/examples").join("genesplat");
     let mut command = Command::new(&program);
     command.arg("train").arg(scene).arg("--out").arg(out).args(["--seed", seed, "--no-lpips", "--quiet"]);
-    let ran = command.args(["--device", "cpu", "--evolve", "off"]).args(options).output();
+    let ran = command.args(["--device", "cpu"]).args(options).output();
     let ran = ran.unwrap_or_else(|error| panic!("{}: {error}; cargo build --release first", program.display()));
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
     let metrics = fs::read(out.join("metrics.json")).expect("figures");

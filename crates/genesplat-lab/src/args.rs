@@ -31,7 +31,7 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Bench,
     },
-    /// Write the tables of the documents from the figures in docs/results, and docs/settings.md from the comments of the
+    /// Write the tables of the documents from the figures in lab/results, and docs/settings.md from the comments of the
     /// settings
     Tables(TablesArgs),
 }
@@ -39,7 +39,7 @@ pub(crate) enum Command {
 #[derive(Debug, Args)]
 pub(crate) struct ExperimentArgs {
     /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper, study-mcmc,
-    /// study-improved, ablation-paper, ablation-renew, or a TOML file of one's own
+    /// study-improved, ablation-paper, ablation-genesplat, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub(crate) what: String,
     /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
@@ -76,7 +76,7 @@ pub(crate) struct TablesArgs {
     #[arg(long)]
     pub(crate) check: bool,
     /// First put the finished runs of an experiment's folder into a CSV file: the one of the experiment's own name in
-    /// docs/results, else ablations.csv where that name begins with ablation, else real-size.csv
+    /// lab/results, else ablations.csv where that name begins with ablation, else real-size.csv
     #[arg(long, num_args = 4, value_names = ["DIR", "EXPERIMENT", "COMMIT", "MACHINE"], conflicts_with = "check")]
     pub(crate) add: Vec<String>,
     /// The same without their seconds, since the machine had other work
@@ -90,7 +90,7 @@ pub(crate) enum Bench {
     /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
     Step(BenchStepArgs),
     /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
-    Evolution(BenchEvolutionArgs),
+    Genetic(BenchGeneticArgs),
     /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of
     /// Gaussians
     Gpu(BenchGpuArgs),
@@ -135,7 +135,7 @@ pub(crate) struct BenchStepArgs {
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct BenchEvolutionArgs {
+pub(crate) struct BenchGeneticArgs {
     #[command(flatten)]
     pub(crate) workload: WorkloadArgs,
     /// Individuals to score: the paper's number

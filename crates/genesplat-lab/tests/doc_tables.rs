@@ -28,7 +28,7 @@ fox,480,7000,1,off,31.0,1234569,110,0,genesplat train fox
 fox,480,7000,0,renew,30.5,900,100,20,genesplat train fox, twice
 fox,480,7000,1,renew,31.1,902,100,20,genesplat train fox
 ";
-/// Plain settings of renew: with averages they are better, so evolution is measured against those.
+/// Plain settings: with averages they are better, so ours is measured against those.
 const STRONG: &str = "fox,480,7000,0,strong,30.1,900,90,0,genesplat train fox
 fox,480,7000,0,strong-averaged,30.25,900,90,1,genesplat train fox
 fox,480,7000,1,strong-averaged,31.2,902,90,1,genesplat train fox
@@ -55,11 +55,22 @@ fn every_setting_stands_in_the_document_as_the_code_explains_it() {
     let text = fs::read_to_string(root().join("docs").join(settings::NAME)).unwrap();
     let page = settings::page(root()).unwrap();
     assert!(text == page, "docs/{}: cargo run --release -p genesplat-lab -- tables", settings::NAME);
-    for name in
-        ["**`iterations`**", "## `[evolution.renewal]`", "**`capacity`**", "**`crossover_rates`**", "**`hold_out`**"]
-    {
+    for name in ["**`iterations`**", "## `[method]`", "**`crossover_rates`**", "**`hold_out`**"] {
         assert!(page.contains(name), "{name}");
     }
+    // A default where a setting is the method's own, and nothing where it is not.
+    let line = |setting: &str| page.lines().find(|line| line.starts_with(&format!("| `{setting}` |"))).unwrap();
+    assert!(
+        line("position_rate_start")
+            .starts_with("| `position_rate_start` | 4e-5 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 4e-5 | Rate")
+    );
+    assert!(line("opacity_rate").starts_with("| `opacity_rate` | 0.025 | 0.05 | 0.05 |"));
+    assert!(line("noise").starts_with("| `noise` |  |  |  |  | 500000 |  | Exploration noise"), "{}", line("noise"));
+    assert!(line("averaging").starts_with("| `averaging` | true | false |"));
+    let is_setting = |line: &&str| line.starts_with("- **`") || line.starts_with("| `");
+    let (of_methods, machine) = (["name"].len(), ["device", "threads"].len());
+    let settings = page.lines().filter(is_setting).count() + of_methods + machine;
+    assert!((40..=55).contains(&settings), "{settings} settings");
 }
 
 #[test]
@@ -132,7 +143,7 @@ fn figures_are_means_over_pairs() {
 }
 
 #[test]
-fn evolution_is_credited_with_what_it_adds_to_the_better_of_plain_settings() {
+fn ours_is_credited_with_what_it_adds_to_the_better_of_plain_settings() {
     let table = updated(DOCUMENT, &format!("{CSV}{STRONG}")).unwrap();
     let cells = "| 30.50 | 30.73 | 30.80 | +0.08 ± 0.25 | 1,234,568/901/901/- |";
     assert!(table.contains(cells), "{table}");
@@ -170,7 +181,7 @@ fn of_each_seed_the_best_plain_run_counts() {
 }
 
 #[test]
-fn another_trainer_stands_beside_it() {
+fn another_method_stands_beside_it() {
     let header = CSV.lines().next().unwrap();
     let of_3dgs = |line: &str| if line == header { format!("variant,{line}") } else { format!("3dgs,{line}") };
     let mut csv: Vec<String> = CSV.lines().map(of_3dgs).collect();
@@ -196,13 +207,13 @@ fn runs_shorter_than_people_train_have_a_table_of_their_own() {
 #[test]
 fn runs_of_an_experiment_become_lines() {
     let folder = tempfile::tempdir().unwrap();
-    for (arm, psnr) in [("off", 30.0), ("renew", 30.5)] {
+    for (arm, psnr) in [("off", 30.0), ("genesplat", 30.5)] {
         let run = folder.path().join("cells/fox/3dgs").join(arm).join("seed-7");
         fs::create_dir_all(&run).unwrap();
         fs::write(run.join("config.toml"), "iterations = 7000\nsteps_scale = 1.0\n[dataset]\nmax_side = 480\n")
             .unwrap();
         let metrics = serde_json::json!({
-            "variant": "3dgs", "seed": 7, "iterations": 7000, "gaussians": 900,
+            "method": "3dgs", "genetic": false, "seed": 7, "iterations": 7000, "gaussians": 900,
             "test": {"psnr": psnr, "ssim": 0.9, "lpips": null}, "train": {"psnr": 31.0}, "seconds": {"gradient": 10.0, "evolution": 0.5},
         });
         fs::write(run.join("metrics.json"), metrics.to_string()).unwrap();
@@ -227,9 +238,13 @@ fn runs_of_an_experiment_become_lines() {
     let others = add::add(&timed, folder.path(), &add::Made { commit: "def", ..made(true) }).unwrap();
     let runs: Vec<_> = others.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect();
     let order: Vec<_> = runs.iter().map(|run| [run[5], run[13]]).collect();
+    // In a file of before methods, ours is what it was called then.
     assert_eq!(order, [["off", "abc"], ["off", "def"], ["renew", "abc"], ["renew", "def"]], "arms stay together");
+    let new = add::add(&header.replace("variant", "method"), folder.path(), &made(true)).unwrap();
+    assert!(new.contains("\nfox,3dgs,480,7000,7,genesplat,30.5000,"), "{new}");
     let without = |column: &str| add::add(&header.replace(column, "wishes"), folder.path(), &made(true)).unwrap_err();
     assert!(without("machine").to_string().contains("has not all of"));
+    assert!(without("variant").to_string().contains("no column `method`"));
     assert!(format!("{:#}", without("lpips")).contains("no run has a column `wishes`"));
     let nothing = tempfile::tempdir().unwrap();
     assert!(add::add(header, nothing.path(), &made(true)).is_err());

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
 use genesplat::io::{input, plural, shown};
-use genesplat::run::lock::Lock;
+use genesplat::run::lock::{LOCK, Lock};
 use genesplat::run::report::run::this_command;
 use genesplat::run::settings::Machine;
 use genesplat::run::{device, files, lpips};

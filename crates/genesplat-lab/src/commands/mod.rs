@@ -32,9 +32,9 @@ fn bench(what: &Bench) -> Result<()> {
             check(&args.json, args.workload.source.splat.as_deref())?;
             bench::step::run(args)
         }
-        Bench::Evolution(args) => {
+        Bench::Genetic(args) => {
             check(&args.json, args.workload.source.splat.as_deref())?;
-            bench::evolution::run(args)
+            bench::genetic::run(args)
         }
         Bench::Gpu(args) => {
             check(&args.json, args.source.splat.as_deref())?;

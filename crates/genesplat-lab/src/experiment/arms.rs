@@ -1,21 +1,24 @@
 //! What an experiment compares: arms, their settings, and the equal-time controls that stand beside them.
 //!
-//! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a `kind`
-//! replaces the other, since kinds have keys of their own.
+//! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a `kind` or a
+//! `name` replaces the other, since kinds and methods have keys of their own.
 
-use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::run::settings::ConfigFile;
-use genesplat::train::EvolutionMode;
-use genesplat::train::config::EvolutionConfig;
+use anyhow::{Result, bail, ensure};
 use toml::{Table, Value};
 
-use super::file::{ArmTable, ExperimentFile};
-
-/// Stands in `evolve` for arms that spend the seconds of another arm on gradient steps.
-const CONTROL: &str = "control";
+use super::file::{ArmTable, ExperimentFile, Search};
 
 /// Settings that belong to the matrix or to the machine.
-const NOT_FOR_CONFIG: [&str; 5] = ["seed", "variant", "dataset", "device", "threads"];
+const NOT_FOR_CONFIG: [&str; 4] = ["seed", "dataset", "device", "threads"];
+
+/// The table of the published search; an arm that has one searches.
+const GENETIC: &str = "genetic";
+
+/// The table of the method.
+pub(super) const METHOD: &str = "method";
+
+/// Its name there.
+pub(super) const NAME: &str = "name";
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Arm {
@@ -23,12 +26,13 @@ pub(crate) struct Arm {
     pub(crate) name: String,
     /// Index of the arm whose seconds it spends.
     pub(crate) control_of: Option<usize>,
-    /// All of its settings that differ from the defaults.
+    /// All of its settings that differ from the defaults, but for the method of its cell where it names none.
     pub(crate) config: Table,
 }
 
 /// Settings merged, controls resolved, and all of them in the order of the tables.
 pub(crate) fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
+    check_common(&file.config)?;
     let tables = in_table_order(file)?;
     let index = |name: &str| tables.iter().position(|arm| arm.name == name);
     let mut arms = Vec::new();
@@ -36,18 +40,37 @@ pub(crate) fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
         check_word(&table.name)?;
         [&file.config, &table.config].into_iter().try_for_each(|config| check_config(config, &table.name))?;
         let control_of = table.control_of.as_deref().and_then(index);
-        // Arms that name no mode are plain training, whatever the default of `train`.
-        let mut config = mode_table("off", None);
-        merge(&mut config, &file.config);
-        if let Some(target) = control_of {
-            merge(&mut config, &tables[target].config);
-            let controlled = check_controlled(&config, table, &tables[target])?;
-            merge(&mut config, &control_table(&controlled));
-        }
-        merge(&mut config, &table.config);
+        let config = settings(file, table, control_of.map(|target| &tables[target]))?;
         arms.push(Arm { name: table.name.clone(), control_of, config });
     }
     Ok(arms)
+}
+
+/// The settings of all cells, those of the arm whose seconds it spends but for its search, and its own.
+fn settings(file: &ExperimentFile, arm: &ArmTable, target: Option<&ArmTable>) -> Result<Table> {
+    let mut config = file.config.clone();
+    if let Some(target) = target {
+        let (control, of) = (&arm.name, &target.name);
+        ensure!(searches(target), "arm `{control}` is the control of `{of}`, which has no search");
+        ensure!(!searches(arm), "arm `{control}` is the control of `{of}`, and has a search of its own");
+        merge(&mut config, &with_method_table(&target.config));
+        config.remove(GENETIC);
+    }
+    merge(&mut config, &with_method_table(&arm.config));
+    if let Some(Value::Table(own)) = config.get_mut(GENETIC) {
+        let own_settings = std::mem::replace(own, file.genetic.clone());
+        merge(own, &own_settings);
+    }
+    Ok(config)
+}
+
+/// A method that is a name alone, as a table.
+fn with_method_table(config: &Table) -> Table {
+    let mut config = config.clone();
+    if let Some(method) = config.get_mut(METHOD).filter(|method| method.is_str()) {
+        *method = Value::Table(Table::from_iter([(NAME.to_owned(), method.clone())]));
+    }
+    config
 }
 
 /// The baseline, then the others as given, each followed by its controls.
@@ -57,17 +80,17 @@ fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
     let is_baseline = |arm: &ArmTable| Some(arm.name.as_str()) == baseline;
     let known = |name: &str| arms.iter().any(|arm| arm.name == name && arm.control_of.is_none());
     match baseline {
-        None => bail!("the experiment has no arms; list modes in `evolve`, or add [[arms]]"),
+        None => bail!("the experiment has no arms; list them in `search`, or add [[arms]]"),
         Some(name) if !known(name) => bail!("the baseline `{name}` is not an arm that trains on its own"),
         Some(_) => {}
     }
     if let Some(lost) = arms.iter().filter_map(|arm| arm.control_of.as_deref()).find(|of| !known(of)) {
-        bail!("control_of names `{lost}`, which is not an arm that evolves");
+        bail!("control_of names `{lost}`, which is not an arm that trains on its own");
     }
     let has_controls = arms.iter().any(|arm| arm.control_of.is_some());
     ensure!(
-        has_controls || !file.evolve.iter().any(|mode| mode == CONTROL),
-        "`evolve` asks for controls, and no arm evolves; add a mode, or take `control` out"
+        has_controls || !file.search.contains(&Search::Control),
+        "`search` asks for controls, and no arm has a search; add \"genetic\", or take \"control\" out"
     );
     let (first, rest): (Vec<_>, Vec<_>) =
         arms.iter().filter(|arm| arm.control_of.is_none()).partition(|arm| is_baseline(arm));
@@ -78,13 +101,19 @@ fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
     Ok(first.into_iter().chain(rest).flat_map(with_controls).collect())
 }
 
-/// Only seconds of an evolution stage can be spent otherwise; returns what the stages are.
-fn check_controlled(config: &Table, control: &ArmTable, target: &ArmTable) -> Result<EvolutionConfig> {
-    let parsed = ConfigFile::from_table(config.clone()).map_err(|error| anyhow!("{error}"))?;
-    let evolution = parsed.train.evolution;
-    let evolves = evolution.mode != EvolutionMode::Off;
-    ensure!(evolves, "arm `{}` is the control of `{}`, which does not evolve", control.name, target.name);
-    Ok(evolution)
+/// What would make cells the same, though tables call them differently.
+fn check_common(config: &Table) -> Result<()> {
+    let method = config.get(METHOD);
+    ensure!(
+        !method.is_some_and(|method| method.is_str() || method.get(NAME).is_some()),
+        "[config] names a method, with which every cell would be trained; list it in `methods`, or name it in an arm"
+    );
+    ensure!(
+        !config.contains_key(GENETIC),
+        "[config] has `genetic`, with which every arm would search; write \"genetic\" in `search`, and the settings of \
+         the search in [genetic]"
+    );
+    Ok(())
 }
 
 fn check_config(config: &Table, arm: &str) -> Result<()> {
@@ -102,53 +131,42 @@ fn check_word(name: &str) -> Result<()> {
 }
 
 impl ExperimentFile {
-    /// The arms of `evolve`, then those of `arms`.
+    /// The arms of `search`, then those of `arms`.
     fn all_arms(&self) -> Vec<ArmTable> {
-        let modes = self.evolve.iter().filter(|mode| !["off", CONTROL].contains(&mode.as_str()));
-        let arms = self.arms.iter().filter(|arm| self.evolves(arm)).map(|arm| &arm.name);
-        let controlled: Vec<&String> = modes.chain(arms).collect();
-        let of_mode = |mode: &String| match mode.as_str() {
-            CONTROL => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
-            _ => vec![ArmTable { name: mode.clone(), control_of: None, config: mode_table(mode, None) }],
+        let named = self.search.iter().filter(|search| **search != Search::Control).map(|search| search_arm(*search));
+        let own: Vec<ArmTable> = named.chain(self.arms.iter().cloned()).collect();
+        let controlled: Vec<&str> =
+            own.iter().filter(|arm| arm.control_of.is_none() && searches(arm)).map(|arm| arm.name.as_str()).collect();
+        let of_search = |search: &Search| match search {
+            Search::Control => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
+            search => vec![search_arm(*search)],
         };
-        self.evolve.iter().flat_map(of_mode).chain(self.arms.clone()).collect()
-    }
-
-    /// Whether one of `arms` has a mode, its own or that of all cells, that spends time on evolution.
-    fn evolves(&self, arm: &ArmTable) -> bool {
-        let mode = mode_of(&arm.config).or(mode_of(&self.config));
-        arm.control_of.is_none() && mode.is_some_and(|mode| !["off", CONTROL].contains(&mode))
+        self.search.iter().flat_map(of_search).chain(self.arms.iter().cloned()).collect()
     }
 }
 
-fn mode_of(config: &Table) -> Option<&str> {
-    config.get("evolution")?.get("mode")?.as_str()
+fn searches(arm: &ArmTable) -> bool {
+    arm.config.contains_key(GENETIC)
+}
+
+fn search_arm(search: Search) -> ArmTable {
+    let table = (GENETIC.to_owned(), Value::Table(Table::new()));
+    let config = Table::from_iter(Some(table).filter(|_| search == Search::Genetic));
+    ArmTable { name: search.name().to_owned(), control_of: None, config }
 }
 
 fn control_arm(of: &str, alone: bool) -> ArmTable {
-    let name = if alone { CONTROL.to_owned() } else { format!("{CONTROL}-{of}") };
+    let control = Search::Control.name();
+    let name = if alone { control.to_owned() } else { format!("{control}-{of}") };
     ArmTable { name, control_of: Some(of.to_owned()), config: Table::new() }
-}
-
-/// `evolution.mode = mode`, and more below `evolution`; whether there is such a mode is for the settings to say.
-fn mode_table(mode: &str, more: Option<(&str, &str)>) -> Table {
-    let settings = std::iter::once(("mode", mode)).chain(more);
-    let evolution = settings.map(|(key, value)| (key.to_owned(), Value::from(value))).collect();
-    Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
-}
-
-/// What turns an arm into a control, but for its budget. Where searches come at a trigger, so do the steps that stand
-/// for them; those of `renew` come after the last step of the run, where they do most good.
-fn control_table(controlled: &EvolutionConfig) -> Table {
-    let comes_last = controlled.mode == EvolutionMode::Renew;
-    mode_table("off", comes_last.then_some(("trigger", "at-end")))
 }
 
 /// Writes `over` into `base`, key by key.
 fn merge(base: &mut Table, over: &Table) {
+    let replaces = |new: &Table| new.contains_key("kind") || new.contains_key(NAME);
     for (key, value) in over {
         match (base.get_mut(key), value) {
-            (Some(Value::Table(old)), Value::Table(new)) if !new.contains_key("kind") => merge(old, new),
+            (Some(Value::Table(old)), Value::Table(new)) if !replaces(new) => merge(old, new),
             _ => {
                 base.insert(key.clone(), value.clone());
             }
@@ -160,105 +178,98 @@ fn merge(base: &mut Table, over: &Table) {
 mod tests {
     use std::path::Path;
 
-    use genesplat::train::{StepBudget, Trigger};
+    use genesplat::run::settings::Machine;
+    use genesplat::train::{MethodName, Schedule, StepBudget};
 
     use super::*;
     use crate::experiment::plan::{Cell, Experiment};
-    use genesplat::run::settings::Machine;
+
+    const ONE: &str = "title = \"t\"\nscenes = [\"a\"]\nseeds = [1]\n";
 
     fn file(text: &str) -> ExperimentFile {
-        toml::from_str(&format!("title = \"t\"\n{text}")).unwrap()
+        toml::from_str(&format!("{ONE}{text}")).unwrap()
+    }
+
+    fn settings(experiment: &Experiment, method: usize, arm: usize) -> Schedule {
+        let cell = Cell { scene: 0, method, arm, seed: 0 };
+        experiment.settings(cell, Path::new("a"), Machine::default(), Some(10.0)).unwrap().schedule
+    }
+
+    fn named(experiment: &Experiment) -> Vec<(&str, Option<usize>)> {
+        experiment.arms.iter().map(|arm| (arm.name.as_str(), arm.control_of)).collect()
     }
 
     #[test]
-    fn two_modes_have_a_control_each() {
-        let text = "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"x\", \"y\", \"control\"]";
-        let arms = toml::from_str::<ExperimentFile>(text).unwrap().all_arms();
+    fn two_searches_have_a_control_each() {
+        let text = "search = [\"off\", \"genetic\", \"control\"]\n\
+                    [[arms]]\nname = \"more\"\nconfig.genetic.generations = 200\n[[arms]]\nname = \"slow\"";
+        let arms = file(text).all_arms();
         let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
-        assert_eq!(names, ["off", "x", "y", "control-x", "control-y"]);
-        assert_eq!(arms[3].control_of.as_deref(), Some("x"));
+        assert_eq!(names, ["off", "genetic", "control-genetic", "control-more", "more", "slow"]);
+        assert_eq!(arms[3].control_of.as_deref(), Some("more"));
     }
 
     #[test]
-    fn arms_that_evolve_have_a_control_too() {
-        let controlled = |common: &str| -> Vec<String> {
-            let text = format!(
-                "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"control\"]\n{common}\
-                 [[arms]]\nname = \"x\"\nconfig.evolution.mode = \"paper\"\n[[arms]]\nname = \"y\"\nconfig.seed = 1\n\
-                 [[arms]]\nname = \"z\"\nconfig.evolution.mode = \"off\""
-            );
-            let arms = toml::from_str::<ExperimentFile>(&text).unwrap().all_arms();
-            arms.into_iter().filter_map(|arm| arm.control_of).collect()
-        };
-        assert_eq!(controlled(""), ["x"]);
-        // A mode of all cells is that of an arm that says nothing else.
-        assert_eq!(controlled("[config]\nevolution.mode = \"renew\"\n"), ["x", "y"]);
+    fn an_arm_with_a_search_of_its_own_has_a_control_too() {
+        let text = "search = [\"off\", \"control\"]\n[[arms]]\nname = \"x\"\nconfig.genetic = {}\n\
+                    [[arms]]\nname = \"y\"\nconfig.method = \"genesplat\"";
+        let experiment = Experiment::new(file(text)).unwrap();
+        assert_eq!(named(&experiment), [("off", None), ("x", None), ("control", Some(1)), ("y", None)]);
     }
 
     #[test]
     fn arms_override_the_common_settings_and_a_control_has_those_of_its_arm() {
         let experiment = Experiment::new(file(
-            "scenes = [\"a\"]\nseeds = [1]\nbaseline = \"off\"\n\
-             [config]\nsteps_scale = 0.5\nevolution.paper.crossover = { kind = \"points\", points = 3 }\n\
+            "baseline = \"off\"\n[config]\nsteps_scale = 0.5\nmethod.averaging = true\n\
+             [genetic]\npopulation = 50\ncrossover = { kind = \"points\", points = 3 }\n\
              [[arms]]\nname = \"equal-time\"\ncontrol_of = \"one\"\n\
              [[arms]]\nname = \"one\"\n\
-             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"uniform\" }\n\
-             [[arms]]\nname = \"late\"\ncontrol_of = \"one\"\nconfig.evolution.trigger = \"at-end\"\n\
+             config = { method.reset_every = 2000, genetic.crossover.kind = \"uniform\" }\n\
              [[arms]]\nname = \"off\"",
         ))
         .unwrap();
-        let controls = [("equal-time", Some(1)), ("late", Some(1))];
-        assert_eq!(named(&experiment), [("off", None), ("one", None), controls[0], controls[1]]);
-        let settings = |arm| {
-            let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
-            experiment.settings(cell, Path::new("a"), Machine::default(), Some(10.0)).unwrap().schedule
-        };
-        let (one, control) = (settings(1), settings(2));
-        let (one, control) = (one.config(), control.config());
-        assert_eq!((one.seed, one.steps_scale, one.evolution.mode), (1, 0.5, EvolutionMode::Paper));
-        assert_eq!(
-            (control.evolution.mode, control.evolution.extra_steps),
-            (EvolutionMode::Off, Some(StepBudget::Seconds(2.5))),
-            "ten seconds in all, at four resets"
-        );
-        assert_eq!(one.evolution.trigger, control.evolution.trigger);
-        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::Uniform);
-        assert_eq!(
-            settings(3).config().evolution.extra_steps,
-            Some(StepBudget::Seconds(10.0)),
-            "all of them at the end"
-        );
-        assert_eq!(settings(0).config().evolution.mode, EvolutionMode::Off);
+        assert_eq!(named(&experiment), [("off", None), ("one", None), ("equal-time", Some(1))]);
+        let [off, one, control] = [0, 1, 2].map(|arm| settings(&experiment, 0, arm).config().clone());
+        assert_eq!((one.seed, one.steps_scale, one.method.averaging), (1, 0.5, true));
+        assert_eq!((off.method.reset_every, &off.genetic, off.extra_steps), (3000, &None, None));
+        let search = one.genetic.unwrap();
+        assert_eq!((search.population, search.crossover), (50, genesplat::evolve::Crossover::Uniform));
+        assert_eq!(control.method, one.method);
+        let each = StepBudget::Seconds(10.0 / 7.0);
+        assert_eq!((&control.genetic, control.extra_steps), (&None, Some(each)), "ten seconds in all, at seven resets");
     }
 
     #[test]
-    fn a_control_comes_when_its_arm_does_or_after_the_last_step() {
-        let modes = "evolve = [\"off\", \"paper\", \"renew\", \"control\"]";
-        let triggers = |trigger: &str| {
-            let text = format!("scenes = [\"a\"]\nseeds = [1]\n{modes}\n[config.evolution]\n{trigger}");
-            triggers_of_controls(&Experiment::new(file(&text)).unwrap())
-        };
-        let (four_times, at_end) = (Some(StepBudget::Seconds(2.0)), (Trigger::AtEnd, Some(StepBudget::Seconds(8.0))));
-        assert_eq!(triggers(""), [(Trigger::AfterReset, four_times), at_end]);
-        // The trigger of the paper's stages is none of renew's.
-        assert_eq!(triggers("trigger = \"before-reset\""), [(Trigger::BeforeReset, four_times), at_end]);
+    fn an_arm_that_names_a_method_trains_that_one_and_others_that_of_the_cell() {
+        let experiment = Experiment::new(file(
+            "methods = [\"3dgs\", \"pixel-gs\"]\nsearch = [\"off\"]\n[config.method]\nprune_size = 9.0\n\
+             [[arms]]\nname = \"ours\"\nconfig.method = \"genesplat\"\n\
+             [[arms]]\nname = \"ours-alone\"\nconfig.method = { name = \"genesplat\", averaging = false }\n\
+             [[arms]]\nname = \"averaged\"\nconfig.method.averaging = true",
+        ))
+        .unwrap();
+        let method = |method, arm| settings(&experiment, method, arm).config().method.clone();
+        use MethodName::{Genesplat, PixelGs, ThreeDgs};
+        let names = |arm| [0, 1].map(|cell| method(cell, arm).name);
+        assert_eq!(
+            [0, 1, 2, 3].map(names),
+            [[ThreeDgs, PixelGs], [Genesplat, Genesplat], [Genesplat, Genesplat], [ThreeDgs, PixelGs]]
+        );
+        // What all cells have is none of the other method's.
+        assert_eq!([0, 1, 2, 3].map(|arm| method(0, arm).prune_size), [9.0, 0.1, 0.1, 9.0]);
+        assert_eq!([0, 1, 2, 3].map(|arm| method(1, arm).averaging), [false, true, false, true]);
     }
 
-    /// When the controls come, and the seconds of each of their stages.
-    fn triggers_of_controls(experiment: &Experiment) -> Vec<(Trigger, Option<StepBudget>)> {
-        let controls = experiment.arms.iter().enumerate().filter(|(_, arm)| arm.control_of.is_some());
-        controls
-            .map(|(arm, _)| {
-                let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
-                let machine = Machine::default();
-                let settings = experiment.settings(cell, Path::new("a"), machine, Some(8.0)).unwrap();
-                let evolution = &settings.schedule.config().evolution;
-                (evolution.trigger, evolution.extra_steps)
-            })
-            .collect()
-    }
-
-    fn named(experiment: &Experiment) -> Vec<(&str, Option<usize>)> {
-        experiment.arms.iter().map(|arm| (arm.name.as_str(), arm.control_of)).collect()
+    #[test]
+    fn what_would_make_all_arms_the_same_is_refused() {
+        let refusal =
+            |text: &str| Experiment::new(file(&format!("search = [\"off\"]\n{text}"))).unwrap_err().to_string();
+        for named in ["config.method = \"mcmc\"", "config.method = { name = \"mcmc\" }"] {
+            assert!(refusal(named).contains("list it in `methods`"), "{}", refusal(named));
+        }
+        assert!(refusal("config.genetic = {}").contains("in [genetic]"));
+        let control = "[[arms]]\nname = \"x\"\nconfig.genetic = {}\n\
+                       [[arms]]\nname = \"c\"\ncontrol_of = \"x\"\nconfig.genetic = {}";
+        assert!(refusal(control).contains("a search of its own"), "{}", refusal(control));
     }
 }

@@ -21,7 +21,7 @@ impl<'a> Board<'a> {
     pub(crate) fn new(experiment: &'a Experiment, only: Option<Cell>) -> Self {
         output::tell(&format!(
             "{:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8}",
-            "cell", "scene", "variant", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
+            "cell", "scene", "method", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
         ));
         let cells = experiment.cells();
         let left = if only.is_some() { 1 } else { cells.len() };
@@ -58,7 +58,7 @@ impl<'a> Board<'a> {
             "{:>9}  {:<14} {:<14} {:<14} {:>5}{figures} {note}",
             format!("{nth}/{}", self.cells.len()),
             experiment.scene_name(cell.scene),
-            file.variants[cell.variant].name(),
+            file.methods[cell.method].name(),
             experiment.arms[cell.arm].name,
             file.seeds[cell.seed],
         );

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::{LoadOptions, Scene, load_points, shown};
 use genesplat::run::METRICS;
+use genesplat::run::files::check_name;
 use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::output;
@@ -164,7 +165,7 @@ mod tests {
     }
 
     fn experiment(more: &str) -> Experiment {
-        let text = "title = \"t\"\nscenes = [\"gallery\", \"fox\"]\nseeds = [0]\nevolve = [\"off\"]\n";
+        let text = "title = \"t\"\nscenes = [\"gallery\", \"fox\"]\nseeds = [0]\nsearch = [\"off\"]\n";
         Experiment::new(toml::from_str(&format!("{text}{more}")).unwrap()).unwrap()
     }
 
@@ -262,7 +263,7 @@ mod tests {
     #[test]
     fn figures_of_different_photos_are_not_compared() {
         let place = tempfile::tempdir().unwrap();
-        let (here, stop) = (experiment("variants = [\"3dgs\", \"mcmc\"]"), AtomicBool::new(false));
+        let (here, stop) = (experiment("methods = [\"3dgs\", \"mcmc\"]"), AtomicBool::new(false));
         let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
         pretend_to_run(&runner);
         let names = |cell: Cell, photo: &str| {

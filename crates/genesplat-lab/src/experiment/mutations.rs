@@ -32,14 +32,14 @@ const VALUES: [&str; 20] = [
     "\"control\"",
     "\"a/b\"",
     "[]",
-    "[\"off\", \"renew\", \"control\"]",
+    "[\"off\", \"genetic\", \"control\"]",
     "{}",
-    "{ mode = \"paper\" }",
+    "{ genetic = {} }",
 ];
 const LINES: [&str; 6] = [
     "[[arms]]\nname = \"x\"",
-    "[[arms]]\nname = \"c\"\ncontrol_of = \"renew\"",
-    "evolve = [\"off\", \"renew\", \"control\"]",
+    "[[arms]]\nname = \"c\"\ncontrol_of = \"genetic\"",
+    "search = [\"off\", \"genetic\", \"control\"]",
     "hold_out = { every = 3 }",
     "[config]\niterations = 12000",
     "control_steps = 7",

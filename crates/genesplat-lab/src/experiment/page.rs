@@ -21,22 +21,22 @@ use super::summary::Tables;
 const PICTURES_MAX: usize = 24;
 const SLIDER_PX: u32 = 800;
 
-/// Over time, an arm a curve, for every scene and variant: the first seed that each arm has finished.
+/// Over time, an arm a curve, for every scene and method: the first seed that each arm has finished.
 fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
     let Experiment { file, arms } = results.experiment;
-    let of_arm = |scene: usize, variant: usize, arm: usize| {
-        let cell = Cell { scene, variant, arm, seed: results.first_seed(scene, variant, &[arm])? };
+    let of_arm = |scene: usize, method: usize, arm: usize| {
+        let cell = Cell { scene, method, arm, seed: results.first_seed(scene, method, &[arm])? };
         // A log that is lost costs a curve, and nothing else.
         let log = out.join(results.experiment.folder(cell)).join(LOG);
         Some((arms[arm].name.clone(), Curves::read(&log).ok()?))
     };
-    let of_variant = |scene: usize, variant: usize| {
-        let curves: Vec<_> = (0..arms.len()).filter_map(|arm| of_arm(scene, variant, arm)).collect();
-        let name = format!("{}, {}: ", results.experiment.scene_name(scene), file.variants[variant]);
+    let of_method = |scene: usize, method: usize| {
+        let curves: Vec<_> = (0..arms.len()).filter_map(|arm| of_arm(scene, method, arm)).collect();
+        let name = format!("{}, {}: ", results.experiment.scene_name(scene), file.methods[method]);
         over_time(&name, &curves)
     };
-    let variants = 0..file.variants.len();
-    let of_scene = |scene| variants.clone().flat_map(move |variant| of_variant(scene, variant));
+    let methods = 0..file.methods.len();
+    let of_scene = |scene| methods.clone().flat_map(move |method| of_method(scene, method));
     (0..file.scenes.len()).flat_map(of_scene).collect()
 }
 
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn hostile_names_stay_text_and_nothing_is_loaded() {
         let text = "title = \"<script>x</script>\"\ndescription = \"a & b\"\nscenes = [\"<script>\"]\nseeds = [0]\n\
-                    evolve = [\"off\", \"paper\"]";
+                    search = [\"off\", \"genetic\"]";
         let experiment = Experiment::new(toml::from_str(text).unwrap()).unwrap();
         let results = Results::none(&experiment);
         let command = "genesplat-lab experiment '<img src=x>'";

@@ -7,11 +7,12 @@ use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::names::is_file_name;
 use genesplat::io::shown;
 use genesplat::run::overwrite::check_apart;
-use genesplat::run::settings::Machine;
-use genesplat::run::settings::{ConfigFile, Settings, check_size};
+use genesplat::run::settings::{ConfigFile, Machine, Settings, check_size};
 use genesplat::train::StepBudget;
+use genesplat::train::timeline::Event;
+use toml::{Table, Value};
 
-use super::arms::{Arm, resolve_arms};
+use super::arms::{Arm, METHOD, NAME, resolve_arms};
 use super::file::{ExperimentFile, GalleryTable};
 
 /// Folder of the runs.
@@ -19,11 +20,11 @@ pub(crate) const CELLS: &str = "cells";
 
 /// The scene that needs no folder.
 pub(crate) const BUNDLED: &str = "gallery";
-/// One run, by indices into the lists of an [`Experiment`]: `file.scenes`, `file.variants`, `arms`, `file.seeds`.
+/// One run, by indices into the lists of an [`Experiment`]: `file.scenes`, `file.methods`, `arms`, `file.seeds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cell {
     pub(crate) scene: usize,
-    pub(crate) variant: usize,
+    pub(crate) method: usize,
     pub(crate) arm: usize,
     pub(crate) seed: usize,
 }
@@ -41,7 +42,7 @@ impl Experiment {
     pub(crate) fn new(file: ExperimentFile) -> Result<Self> {
         let arms = resolve_arms(&file)?;
         check_list("scenes", file.scenes.iter().map(|scene| scene_label(scene)))?;
-        check_list("variants", &file.variants)?;
+        check_list("methods", &file.methods)?;
         check_list("arms", arms.iter().map(|arm| &arm.name))?;
         check_list("seeds", &file.seeds)?;
         check_labels(&file.scenes)?;
@@ -63,13 +64,13 @@ impl Experiment {
         Ok(())
     }
 
-    /// An arm whose stages never come would be a plain run by another name, and so would its control.
+    /// An arm whose searches never come would be a plain run by another name, and so would its control.
     fn check_cell(&self, config: &ConfigFile) -> Result<()> {
         config.check()?;
         ensure!(
             !config.train.clone().resolve()?.waits_in_vain(),
-            "its trigger never comes (evolution.trigger, every evolution.stride-th time), so it would be a plain run by another \
-             name; make the run longer, or set evolution.trigger = \"at-end\""
+            "opacities are not reset before its end, so no search would follow, and it would be a plain run by another \
+             name; make the run longer"
         );
         Ok(())
     }
@@ -79,10 +80,10 @@ impl Experiment {
     pub(crate) fn cells(&self) -> Vec<Cell> {
         let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
         order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
-        let seeds = |scene, variant| (0..file.seeds.len()).map(move |seed| (scene, variant, seed));
+        let seeds = |scene, method| (0..file.seeds.len()).map(move |seed| (scene, method, seed));
         let places = (0..file.scenes.len())
-            .flat_map(|scene| (0..file.variants.len()).flat_map(move |variant| seeds(scene, variant)));
-        let of_arms = |(scene, variant, seed)| order.iter().map(move |&arm| Cell { scene, variant, arm, seed });
+            .flat_map(|scene| (0..file.methods.len()).flat_map(move |method| seeds(scene, method)));
+        let of_arms = |(scene, method, seed)| order.iter().map(move |&arm| Cell { scene, method, arm, seed });
         places.flat_map(of_arms).collect()
     }
 
@@ -121,9 +122,9 @@ impl Experiment {
     }
 
     pub(crate) fn folder(&self, cell: Cell) -> PathBuf {
-        let (scene, variant) = (self.scene_name(cell.scene), self.file.variants[cell.variant].name());
+        let (scene, method) = (self.scene_name(cell.scene), self.file.methods[cell.method].name());
         let seed = format!("seed-{}", self.file.seeds[cell.seed]);
-        [CELLS, scene, variant, &self.arms[cell.arm].name, &seed].iter().collect()
+        [CELLS, scene, method, &self.arms[cell.arm].name, &seed].iter().collect()
     }
 
     /// The settings of a cell of the scene at `path`. A control needs the seconds that it may spend in all.
@@ -143,20 +144,35 @@ impl Experiment {
         resolved.ok().and_then(Result::ok).expect("settings were checked").iterations
     }
 
+    /// The method that a cell is trained with.
+    pub(crate) fn trained(&self, cell: Cell) -> &str {
+        let named = self.arms[cell.arm].config.get(METHOD).and_then(|method| method.get(NAME)?.as_str());
+        named.unwrap_or(self.file.methods[cell.method].name())
+    }
+
+    /// The settings of its arm, with that method.
+    fn table(&self, cell: Cell) -> Table {
+        let mut table = self.arms[cell.arm].config.clone();
+        let method = table.entry(METHOD).or_insert_with(|| Table::new().into());
+        if let Value::Table(method) = method {
+            method.entry(NAME).or_insert_with(|| self.trained(cell).into());
+        }
+        table
+    }
+
     /// The same before there is a device.
     fn config(&self, cell: Cell, path: &Path, control_seconds: Option<f64>) -> Result<ConfigFile> {
         let (file, arm) = (&self.file, &self.arms[cell.arm]);
-        let mut config = ConfigFile::from_table(arm.config.clone()).map_err(|error| anyhow!("{error}"))?;
+        let mut config = ConfigFile::from_table(self.table(cell)).map_err(|error| anyhow!("{error}"))?;
         config.train.seed = file.seeds[cell.seed];
-        config.train.variant = file.variants[cell.variant];
         config.dataset.path = path.to_owned();
         (config.dataset.max_side, config.dataset.downscale) = (file.max_side, file.downscale);
         config.dataset.hold_out = file.hold_out.clone();
         if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
-            config.train.evolution.extra_steps = Some(StepBudget::Steps(0));
-            let stages = config.train.clone().resolve()?.stages().count();
-            let budget = StepBudget::Seconds(seconds / stages.max(1) as f64);
-            config.train.evolution.extra_steps = Some(file.control_steps.map_or(budget, StepBudget::Steps));
+            config.train.extra_steps = Some(StepBudget::Steps(0));
+            let searches = config.train.clone().resolve()?.timeline().all(Event::Search).count();
+            let budget = StepBudget::Seconds(seconds / searches.max(1) as f64);
+            config.train.extra_steps = Some(file.control_steps.map_or(budget, StepBudget::Steps));
         }
         Ok(config)
     }
@@ -201,14 +217,14 @@ mod tests {
     fn the_matrix_is_expanded_scene_by_scene_with_controls_last() {
         let experiment = Experiment::new(file(
             "scenes = [\"a\", \"deep/b\"]\nvariants = [\"3dgs\", \"pixel-gs\"]\nseeds = [7, 8, 9]\n\
-             evolve = [\"off\", \"control\", \"paper\"]",
+             search = [\"off\", \"control\", \"genetic\"]",
         ))
         .unwrap();
-        assert_eq!(names(&experiment), [("off", None), ("paper", None), ("control", Some(1))]);
+        assert_eq!(names(&experiment), [("off", None), ("genetic", None), ("control", Some(1))]);
         let cells = experiment.cells();
         assert_eq!(cells.len(), 2 * 2 * 3 * 3);
         assert_eq!(cells.iter().map(|cell| cell.arm).collect::<Vec<_>>(), [0, 1, 2].repeat(12));
-        assert!(cells.is_sorted_by_key(|cell| (cell.scene, cell.variant, cell.seed)));
+        assert!(cells.is_sorted_by_key(|cell| (cell.scene, cell.method, cell.seed)));
         let last = experiment.folder(cells[35]);
         assert_eq!(last, Path::new("cells/b/pixel-gs/control/seed-9"));
         let folders: std::collections::HashSet<_> = cells.iter().map(|&cell| experiment.folder(cell)).collect();
@@ -218,44 +234,53 @@ mod tests {
     #[test]
     fn what_cannot_be_run_is_refused_at_once() {
         let cases = [
-            ("scenes = []\nseeds = [0]\nevolve = [\"off\"]", "no scenes"),
-            ("scenes = [\"a\"]\nseeds = []\nevolve = [\"off\"]", "no seeds"),
-            ("scenes = [\"a\"]\nseeds = [0, 0]\nevolve = [\"off\"]", "twice"),
-            ("scenes = [\"..\"]\nseeds = [0]\nevolve = [\"off\"]", "`..` cannot be the name of a scene"),
-            ("scenes = [\".\"]\nseeds = [0]\nevolve = [\"off\"]", "`.` cannot be"),
-            ("scenes = [\"a/..\"]\nseeds = [0]\nevolve = [\"off\"]", "`a/..` cannot be"),
-            ("scenes = [\"\"]\nseeds = [0]\nevolve = [\"off\"]", "`` cannot be"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\ndownscale = 0", "downscale is 0"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 0", "max_side is 0"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 64\ndownscale = 2", "keep one of them"),
-            ("scenes = [\"a\", \"A\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
-            ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
+            ("scenes = []\nseeds = [0]\nsearch = [\"off\"]", "no scenes"),
+            ("scenes = [\"a\"]\nseeds = []\nsearch = [\"off\"]", "no seeds"),
+            ("scenes = [\"a\"]\nseeds = [0, 0]\nsearch = [\"off\"]", "twice"),
+            ("scenes = [\"..\"]\nseeds = [0]\nsearch = [\"off\"]", "`..` cannot be the name of a scene"),
+            ("scenes = [\".\"]\nseeds = [0]\nsearch = [\"off\"]", "`.` cannot be"),
+            ("scenes = [\"a/..\"]\nseeds = [0]\nsearch = [\"off\"]", "`a/..` cannot be"),
+            ("scenes = [\"\"]\nseeds = [0]\nsearch = [\"off\"]", "`` cannot be"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\ndownscale = 0", "downscale is 0"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\nmax_side = 0", "max_side is 0"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\nmax_side = 64\ndownscale = 2", "keep one of them"),
+            ("scenes = [\"a\", \"A\"]\nseeds = [0]\nsearch = [\"off\"]", "twice"),
+            ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nsearch = [\"off\"]", "twice"),
             ("scenes = [\"a\"]\nseeds = [0]", "no arms"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"none\"]", "arm `none`"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nbaseline = \"on\"", "baseline `on`"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"none\"]", "`none`"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\nbaseline = \"on\"", "baseline `on`"),
             ("scenes = [\"a\"]\nseeds = [0]\n[[arms]]\nname = \"../up\"", "../up"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[config]\nseed = 3", "`seed`"),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[config]\nsteps_scale = 0", "steps_scale"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\n[config]\nseed = 3", "`seed`"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\n[config]\nsteps_scale = 0", "steps_scale"),
             (
-                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"off\"",
-                "does not evolve",
+                "scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"off\"",
+                "has no search",
             ),
             (
-                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"paper\", \"control\"]\n[config]\niterations = 3000",
-                "its trigger never comes",
+                "scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\", \"genetic\", \"control\"]\n[config]\niterations = 3000",
+                "opacities are not reset",
             ),
-            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"control\"]", "no arm evolves"),
+            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\", \"control\"]", "no arm has a search"),
             (
-                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"paper\"]\n[config]\niterations = 3000",
-                "its trigger never comes",
+                "scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\", \"genetic\"]\n[config]\niterations = 3000",
+                "opacities are not reset",
             ),
             (
-                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"d\"",
+                "scenes = [\"a\"]\nseeds = [0]\nmethods = [\"mcmc\"]\nsearch = [\"off\", \"genetic\"]",
+                "arm `genetic`: method.name is mcmc, but must be a method that resets opacities",
+            ),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\n[config.method]\nnoise = 1.0",
+                "arm `off`: `noise` is no setting of 3dgs",
+            ),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"d\"",
                 "control_of names `d`",
             ),
         ];
         for (text, word) in cases {
-            let error = Experiment::new(file(text)).unwrap_err().to_string();
+            let text = format!("title = \"t\"\n{text}");
+            let error = ExperimentFile::parse(&text).and_then(Experiment::new).unwrap_err().to_string();
             assert!(error.contains(word), "{word:?} is not in: {error}");
         }
     }

@@ -15,7 +15,7 @@ pub(crate) const PRESETS: [(&str, &str); 8] = [
     ("study-mcmc", include_str!("../../presets/study-mcmc.toml")),
     ("study-improved", include_str!("../../presets/study-improved.toml")),
     ("ablation-paper", include_str!("../../presets/ablation-paper.toml")),
-    ("ablation-renew", include_str!("../../presets/ablation-renew.toml")),
+    ("ablation-genesplat", include_str!("../../presets/ablation-genesplat.toml")),
 ];
 
 pub(crate) fn open(what: &str) -> Result<ExperimentFile> {
@@ -24,8 +24,8 @@ pub(crate) fn open(what: &str) -> Result<ExperimentFile> {
         Some((_, text)) => (*text).to_owned(),
         None => read(Path::new(what))?,
     };
-    let file = toml::from_str(&text);
-    file.map_err(|problem| anyhow!("the experiment {what} is not valid: {problem}; correct it there"))
+    ExperimentFile::parse(&text)
+        .map_err(|problem| anyhow!("the experiment {what} is not valid: {problem}; correct it there"))
 }
 
 fn read(path: &Path) -> Result<String> {
@@ -40,53 +40,61 @@ fn read(path: &Path) -> Result<String> {
 mod tests {
     use std::fs;
 
-    use super::*;
-    use crate::experiment::plan::Experiment;
     use genesplat::run::settings::ConfigFile;
+    use genesplat::train::MethodName;
+    use genesplat::train::timeline::Event;
 
-    /// Arms whose seconds are all spent on gradient steps.
-    const PLAIN: [&str; 7] =
-        ["off", "strong", "strong-averaged", "strong-slow-averaged", LONGER, "improved-gs", "improved-gs-averaged"];
-    /// Plain settings in the seconds of `renew`, whose steps take longer; a control only buys the seconds between steps.
-    const LONGER: &str = "strong-longer";
+    use super::*;
+    use crate::experiment::plan::{Cell, Experiment};
 
     #[test]
-    fn every_preset_is_valid_and_beside_plain_training() {
+    fn every_preset_is_valid_and_beside_a_method_alone() {
         for (name, _) in PRESETS {
             let experiment = preset(name);
             let plain = if name == "study-improved" { "improved-gs" } else { "off" };
-            assert_eq!(experiment.arms[0].name, plain, "{name}: differences are from plain training");
+            assert_eq!(experiment.arms[0].name, plain, "{name}: differences are from the method alone");
             assert!(experiment.file.seeds.len() >= 3, "{name}");
         }
     }
 
-    /// An ablation compares the arms of one method; all else compares evolution with plain training.
+    /// An ablation compares arms with a search; all else compares a search with gradient steps.
     #[test]
-    fn each_arm_that_evolves_has_one_with_as_many_seconds() {
+    fn each_arm_with_a_search_has_a_control() {
         for (name, _) in PRESETS.iter().filter(|(name, _)| !name.starts_with("ablation-")) {
             let experiment = preset(name);
             let controlled: Vec<usize> = experiment.arms.iter().filter_map(|arm| arm.control_of).collect();
-            let has_longer = experiment.arms.iter().any(|arm| arm.name == LONGER);
-            let evolves = |arm: &usize| {
-                let arm = &experiment.arms[*arm];
-                let is_plain = PLAIN.contains(&arm.name.as_str());
-                arm.control_of.is_none() && !is_plain && !(has_longer && arm.name.starts_with("renew"))
-            };
-            let evolving = (0..experiment.arms.len()).filter(evolves);
-            assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
+            let searches = |arm: &usize| experiment.arms[*arm].config.contains_key("genetic");
+            let searching: Vec<usize> = (0..experiment.arms.len()).filter(searches).collect();
+            assert_eq!(controlled, searching, "{name}: a control for each");
         }
     }
 
-    /// Before a reset comes what comes after a densification in the same iteration: two arms would be one.
+    /// Ours takes longer for a step, so one of the two has fewer.
     #[test]
-    fn stages_at_densifications_are_not_beside_resets() {
-        let experiment = preset("ablation-paper");
-        for name in ["after-densify", "before-densify"] {
-            let arm = experiment.arms.iter().find(|arm| arm.name == name).unwrap();
+    fn ours_stands_beside_plain_settings_in_as_many_seconds() {
+        let experiment = preset("study-evolution");
+        let iterations = |name: &str| {
+            let arm = experiment.arms.iter().position(|arm| arm.name == name).unwrap();
+            experiment.iterations(Cell { scene: 0, method: 0, arm, seed: 0 })
+        };
+        let lengths = ["strong-averaged", "strong-longer", "genesplat", "genesplat-sooner"].map(iterations);
+        assert_eq!(lengths, [7000, 10_000, 7000, 5000]);
+    }
+
+    /// Opacities are reset once by plain settings, whose size is never a reason to be pruned.
+    #[test]
+    fn plain_settings_are_those_of_the_committed_runs() {
+        let experiment = preset("study-evolution");
+        for arm in experiment.arms.iter().filter(|arm| arm.name.starts_with("strong")) {
             let schedule = ConfigFile::from_table(arm.config.clone()).unwrap().train.resolve().unwrap();
-            let stages: Vec<u32> = schedule.stages().collect();
-            assert_eq!(stages, [500, 1000], "{name}");
-            assert!(stages.iter().all(|&stage| !schedule.is_reset(stage)), "{name}");
+            assert_eq!(schedule.timeline().all(Event::ResetOpacity).collect::<Vec<_>>(), [3000], "{}", arm.name);
+            let method = &schedule.config().method;
+            assert_eq!((method.name, method.capacity), (MethodName::ThreeDgs, 1.0), "{}", arm.name);
+            let (last, start) = (schedule.iterations, schedule.rates(1.0, 0).position);
+            if arm.name == "strong-slow-averaged" {
+                let end = schedule.rates(1.0, last).position;
+                assert!((start / 4e-5 - 1.0).abs() < 1e-3 && (end / 2e-6 - 1.0).abs() < 1e-3, "{start} {end}");
+            }
         }
     }
 
@@ -124,8 +132,8 @@ mod tests {
             let path = results.join(study);
             assert_eq!(preset(path.to_str().unwrap()).cells().len(), runs, "{study}");
         }
-        let averaged = ConfigFile::read(&results.join("averaged.toml")).unwrap().train;
-        assert!(!averaged.evolution.renewal.selection && averaged.evolution.renewal.averaging);
+        let averaged = ConfigFile::read(&results.join("averaged.toml")).unwrap().train.method;
+        assert!(averaged.name == MethodName::ThreeDgs && averaged.averaging);
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub(crate) struct Page {
     pub(crate) renders: [(String, Photo); 2],
 }
 
-/// Writes a page for every scene, variant and evolving arm whose cells are finished. A scene whose pages cannot be made
+/// Writes a page for every scene, method and arm whose cells are finished. A scene whose pages cannot be made
 /// gets a notice: its figures stand without them.
 pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Page> {
     let pages = |scene| {
@@ -90,16 +90,16 @@ fn write_page(
         rows.push(changes(&photo, [&without, &with]));
         shown.get_or_insert(renders);
     }
-    let Some([without, evolved]) = shown else { return Ok(None) };
-    let (name, variant) = (experiment.scene_name(with.scene), experiment.file.variants[with.variant]);
-    let path: PathBuf = ["qualitative", name, variant.name(), &format!("{arm}.png")].iter().collect();
+    let Some([without, with_arm]) = shown else { return Ok(None) };
+    let (name, method) = (experiment.scene_name(with.scene), experiment.file.methods[with.method]);
+    let path: PathBuf = ["qualitative", name, method.name(), &format!("{arm}.png")].iter().collect();
     write_own_png(runner.out, &path, &stacked(&rows))?;
     let caption = format!(
-        "{name}, {variant}, seed {}: photo, {baseline}, {arm}. Above, the test photo that gained most PSNR; below, the one \
+        "{name}, {method}, seed {}: photo, {baseline}, {arm}. Above, the test photo that gained most PSNR; below, the one \
          that lost most (or gained least). Green: where error fell most; red: where it rose most.",
         experiment.file.seeds[with.seed]
     );
-    Ok(Some(Page { path, caption, renders: [(baseline.to_owned(), without), (arm.to_owned(), evolved)] }))
+    Ok(Some(Page { path, caption, renders: [(baseline.to_owned(), without), (arm.to_owned(), with_arm)] }))
 }
 
 fn read_render(path: PathBuf, photo: &Photo) -> Result<Photo> {
@@ -116,16 +116,16 @@ fn read_render(path: PathBuf, photo: &Photo) -> Result<Photo> {
     Ok(render)
 }
 
-/// The baseline and each evolving arm, with the first seed that both have finished.
+/// The baseline and each arm that is no control, with the first seed that both have finished.
 fn pairs_of(results: &Results<'_>, scene: usize) -> Vec<(Cell, Cell)> {
     let experiment = results.experiment;
-    let evolving = (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
-    let of_arm = |variant: usize, arm: usize| {
-        let with = Cell { scene, variant, arm, seed: results.first_seed(scene, variant, &[0, arm])? };
+    let compared = (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
+    let of_arm = |method: usize, arm: usize| {
+        let with = Cell { scene, method, arm, seed: results.first_seed(scene, method, &[0, arm])? };
         Some((Cell { arm: 0, ..with }, with))
     };
-    let variants = 0..experiment.file.variants.len();
-    variants.flat_map(|variant| evolving.clone().filter_map(move |arm| of_arm(variant, arm))).collect()
+    let methods = 0..experiment.file.methods.len();
+    methods.flat_map(|method| compared.clone().filter_map(move |arm| of_arm(method, arm))).collect()
 }
 
 /// The test views that gained and lost most PSNR.

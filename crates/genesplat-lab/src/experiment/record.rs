@@ -6,7 +6,7 @@ use genesplat::run::metrics::Split;
 use super::plan::Cell;
 use super::results::{METRICS, Results};
 
-const CELLS: &str = "scene,variant,arm,seed,test_psnr,test_ssim,test_lpips,train_psnr,train_ssim,train_lpips,gaussians,iterations,\
+const CELLS: &str = "scene,method,arm,seed,test_psnr,test_ssim,test_lpips,train_psnr,train_ssim,train_lpips,gaussians,iterations,\
                      gradient_seconds,evolution_seconds,folder";
 
 pub(crate) fn cells(results: &Results<'_>) -> String {
@@ -14,10 +14,10 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
     let mut text = format!("{CELLS}\n");
     let finished = experiment.cells().into_iter().filter_map(|cell| Some((cell, results.get(cell)?)));
     for (cell, metrics) in finished {
-        let Cell { scene, variant, arm, seed } = cell;
+        let Cell { scene, arm, seed, .. } = cell;
         let mut fields = vec![
             experiment.scene_name(scene).to_owned(),
-            experiment.file.variants[variant].to_string(),
+            experiment.trained(cell).to_owned(),
             experiment.arms[arm].name.clone(),
             experiment.file.seeds[seed].to_string(),
         ];

@@ -66,14 +66,14 @@ impl<'a> Results<'a> {
         self.cells.iter().flatten().filter(lacks).count()
     }
 
-    fn index(&self, Cell { scene, variant, arm, seed }: Cell) -> usize {
+    fn index(&self, Cell { scene, method, arm, seed }: Cell) -> usize {
         let Experiment { file, arms } = self.experiment;
-        ((scene * file.variants.len() + variant) * arms.len() + arm) * file.seeds.len() + seed
+        ((scene * file.methods.len() + method) * arms.len() + arm) * file.seeds.len() + seed
     }
 
     /// The first seed for which all of these arms are finished.
-    pub(crate) fn first_seed(&self, scene: usize, variant: usize, arms: &[usize]) -> Option<usize> {
-        let is_finished = |seed, &arm: &usize| self.get(Cell { scene, variant, arm, seed }).is_some();
+    pub(crate) fn first_seed(&self, scene: usize, method: usize, arms: &[usize]) -> Option<usize> {
+        let is_finished = |seed, &arm: &usize| self.get(Cell { scene, method, arm, seed }).is_some();
         (0..self.experiment.file.seeds.len()).find(|&seed| arms.iter().all(|arm| is_finished(seed, arm)))
     }
 

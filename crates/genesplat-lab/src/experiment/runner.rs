@@ -18,7 +18,7 @@ use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::Machine;
 use genesplat::run::settings::Settings;
 use genesplat::run::training::{Ended, Run};
-use genesplat::run::{METRICS, TEST};
+use genesplat::run::{FOLDERS, METRICS};
 use genesplat::run::{files, scene};
 use genesplat::train::TrainError;
 

@@ -1,6 +1,6 @@
 //! The tables of an experiment, in the form of the paper's Tables 2 and 3.
 //!
-//! For each variant and split: a row a scene, the baseline's figures, then for each other arm its differences from the
+//! For each method and split: a row a scene, the baseline's figures, then for each other arm its differences from the
 //! baseline, where positive is better. Differences are taken seed by seed, then averaged. A further
 //! table tests them. Within a scene the pairs are its seeds; over all scenes the pairs are the scenes' means, since the
 //! repeats of one scene are no independent witnesses.
@@ -26,13 +26,13 @@ pub(crate) struct Tables {
 
 impl Tables {
     pub(crate) fn of(results: &Results<'_>) -> Self {
-        let variants = 0..results.experiment.file.variants.len();
-        let of_split = |split| variants.clone().map(move |variant| quality(results, split, variant));
-        let sizes = variants.clone().map(|variant| sizes(results, variant));
+        let methods = 0..results.experiment.file.methods.len();
+        let of_split = |split| methods.clone().map(move |method| quality(results, split, method));
+        let sizes = methods.clone().map(|method| sizes(results, method));
         Self {
             figures: Split::ALL.into_iter().flat_map(of_split).chain(sizes).collect(),
             tests: Split::ALL.map(|split| tests(results, split)).into(),
-            costs: variants.clone().map(|variant| seconds(results, variant)).collect(),
+            costs: methods.clone().map(|method| seconds(results, method)).collect(),
         }
     }
 
@@ -42,7 +42,7 @@ impl Tables {
     }
 }
 
-/// Which arm is compared with which: each with the baseline, each evolution with its control.
+/// Which arm is compared with which: each with the baseline, each search with its control.
 fn pairs_of_arms(experiment: &Experiment) -> Vec<(usize, usize)> {
     let with_baseline = (1..experiment.arms.len()).map(|arm| (arm, 0));
     let controls = experiment.arms.iter().enumerate();
@@ -63,8 +63,8 @@ fn values_on(experiment: &Experiment, scene: Option<usize>, of_scene: impl Fn(us
     scene.map_or_else(|| scenes.filter_map(mean).collect(), &of_scene)
 }
 
-fn cell(variant: usize, scene: usize, arm: usize) -> Cell {
-    Cell { scene, variant, arm, seed: 0 }
+fn cell(method: usize, scene: usize, arm: usize) -> Cell {
+    Cell { scene, method, arm, seed: 0 }
 }
 
 fn figure(values: &[f64], digits: usize, gain: bool) -> Entry {
@@ -76,18 +76,18 @@ fn row_name(experiment: &Experiment, scene: Option<usize>) -> String {
     scene.map_or(ALL.to_owned(), |scene| experiment.scene_name(scene).to_owned())
 }
 
-fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
+fn quality(results: &Results<'_>, split: Split, method: usize) -> Table {
     let (experiment, metrics) = (results.experiment, results.metrics());
     let arms = || 0..experiment.arms.len();
-    let variant_name = experiment.file.variants[variant].name();
+    let method_name = experiment.file.methods[method].name();
     let heading = |arm: usize, metric: &Metric| match (arm, &experiment.arms[arm].name) {
-        (0, name) => format!("{variant_name} {name} {}", metric.name),
+        (0, name) => format!("{method_name} {name} {}", metric.name),
         (_, name) => format!("{name} Δ{}", &metric.name[..1]),
     };
     let entry = |scene: Option<usize>, arm: usize, metric: Metric| {
         let values = values_on(experiment, scene, |scene| match arm {
-            0 => results.values(cell(variant, scene, 0), split, metric),
-            _ => results.gains(cell(variant, scene, arm), 0, split, metric),
+            0 => results.values(cell(method, scene, 0), split, metric),
+            _ => results.gains(cell(method, scene, arm), 0, split, metric),
         });
         figure(&values, metric.digits, arm > 0)
     };
@@ -97,7 +97,7 @@ fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
         (row_name(experiment, scene), entries.collect())
     };
     let caption = format!(
-        "{variant_name}, {} photos: {}, and the differences of the other arms from it, paired by seed ({}). Differences \
+        "{method_name}, {} photos: {}, and the differences of the other arms from it, paired by seed ({}). Differences \
          are arm - baseline for PSNR and SSIM, baseline - arm for LPIPS: positive is better. ± is the standard deviation \
          over seeds, and in the row `mean of scenes` over these means.",
         split.name(),
@@ -125,9 +125,9 @@ fn repeats(results: &Results<'_>) -> String {
 /// The tests of one split: every comparison that the experiment makes.
 fn tests(results: &Results<'_>, split: Split) -> Table {
     let experiment = results.experiment;
-    let row = |metric: Metric, variant: usize, (arm, against): (usize, usize), scene: Option<usize>| {
+    let row = |metric: Metric, method: usize, (arm, against): (usize, usize), scene: Option<usize>| {
         let gains =
-            values_on(experiment, scene, |scene| results.gains(cell(variant, scene, arm), against, split, metric));
+            values_on(experiment, scene, |scene| results.gains(cell(method, scene, arm), against, split, metric));
         let count = |holds: fn(&f64) -> bool| Entry::Text(gains.iter().filter(|gain| holds(gain)).count().to_string());
         let p = match wilcoxon_test(&gains) {
             _ if gains.is_empty() => Entry::absent(),
@@ -137,14 +137,14 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
         let mean = figure(&gains, metric.digits, true);
         let entries = vec![count(|_| true), mean, count(|gain| *gain > 0.0), count(|gain| *gain < 0.0), p];
         let [arm, against] = [arm, against].map(|arm| &experiment.arms[arm].name);
-        let (variant, scene) = (experiment.file.variants[variant].name(), row_name(experiment, scene));
-        (format!("{scene}, {variant}: {arm} against {against}, {}", metric.name), entries)
+        let (method, scene) = (experiment.file.methods[method].name(), row_name(experiment, scene));
+        (format!("{scene}, {method}: {arm} against {against}, {}", metric.name), entries)
     };
     let mut rows = Vec::new();
     for metric in results.metrics() {
-        for variant in 0..experiment.file.variants.len() {
+        for method in 0..experiment.file.methods.len() {
             for arms in pairs_of_arms(experiment) {
-                rows.extend(scenes_and_all(experiment).map(|scene| row(metric, variant, arms, scene)));
+                rows.extend(scenes_and_all(experiment).map(|scene| row(metric, method, arms, scene)));
             }
         }
     }
@@ -157,33 +157,33 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
     Table { caption, columns: columns.map(str::to_owned).into(), rows }
 }
 
-fn sizes(results: &Results<'_>, variant: usize) -> Table {
-    let name = results.experiment.file.variants[variant].name();
+fn sizes(results: &Results<'_>, method: usize) -> Table {
+    let name = results.experiment.file.methods[method].name();
     let caption = format!("{name}: Gaussians at the end.");
-    plain(results, variant, caption, 0, &[("Gaussians", |metrics| metrics.gaussians as f64)])
+    plain(results, method, caption, 0, &[("Gaussians", |metrics| metrics.gaussians as f64)])
 }
 
-fn seconds(results: &Results<'_>, variant: usize) -> Table {
-    let name = results.experiment.file.variants[variant].name();
+fn seconds(results: &Results<'_>, method: usize) -> Table {
+    let name = results.experiment.file.methods[method].name();
     let caption = format!(
         "{name}: wall-clock seconds of training on this machine, loading and scoring left out. A control trains for as many \
-         seconds as another arm evolves, unless `control_steps` says how many steps it makes."
+         seconds as another arm searches, unless `control_steps` says how many steps it makes."
     );
     let all = |metrics: &Metrics| metrics.seconds.training();
     let evolution = |metrics: &Metrics| metrics.seconds.evolution;
-    plain(results, variant, caption, 1, &[("seconds", all), ("of these evolution", evolution)])
+    plain(results, method, caption, 1, &[("seconds", all), ("of these search and averages", evolution)])
 }
 
 type Figure = (&'static str, fn(&Metrics) -> f64);
 
 /// A row a scene, and for each arm what `figures` make of a cell.
-fn plain(results: &Results<'_>, variant: usize, caption: String, digits: usize, figures: &[Figure]) -> Table {
+fn plain(results: &Results<'_>, method: usize, caption: String, digits: usize, figures: &[Figure]) -> Table {
     let experiment = results.experiment;
     let arms = experiment.arms.iter().enumerate();
     let columns: Vec<_> = arms.flat_map(|arm| figures.iter().map(move |figure| (arm, figure))).collect();
     let row = |scene: usize| {
         let entry = |&((arm, _), (_, value)): &((usize, _), &Figure)| {
-            let repeats = results.repeats(cell(variant, scene, arm), |metrics| Some(value(metrics)));
+            let repeats = results.repeats(cell(method, scene, arm), |metrics| Some(value(metrics)));
             figure(&repeats, digits, false)
         };
         (experiment.scene_name(scene).to_owned(), columns.iter().map(entry).collect())
@@ -198,10 +198,10 @@ mod tests {
     use super::*;
     use crate::experiment::results::METRICS;
 
-    /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
+    /// Two scenes, three seeds, off and genetic and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
         let text =
-            "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nevolve = [\"off\", \"paper\", \"control\"]";
+            "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nsearch = [\"off\", \"genetic\", \"control\"]";
         Experiment::new(toml::from_str(text).unwrap()).unwrap()
     }
 
@@ -213,13 +213,13 @@ mod tests {
         serde_json::from_value(metrics).unwrap()
     }
 
-    /// Hand-made: scene a gains 0.1, 0.2, 0.3 from evolution, scene b loses 0.1 each; the control does nothing.
+    /// Hand-made: scene a gains 0.1, 0.2, 0.3 from the search, scene b loses 0.1 each; the control does nothing.
     fn results(experiment: &Experiment) -> Results<'_> {
         let mut results = Results::none(experiment);
         for cell in experiment.cells() {
             let base = [30.0, 20.0][cell.scene] + cell.seed as f64;
-            let evolved = [[0.1, 0.2, 0.3], [-0.1; 3]][cell.scene][cell.seed];
-            let (psnr, lpips) = if cell.arm == 1 { (base + evolved, 0.2 - evolved) } else { (base, 0.2) };
+            let gain = [[0.1, 0.2, 0.3], [-0.1; 3]][cell.scene][cell.seed];
+            let (psnr, lpips) = if cell.arm == 1 { (base + gain, 0.2 - gain) } else { (base, 0.2) };
             results.put(cell, metrics(psnr, Some(lpips)));
         }
         results
@@ -241,7 +241,7 @@ mod tests {
         let table = quality(&results, Split::Test, 0);
         let baseline = ["3dgs off PSNR", "3dgs off SSIM", "3dgs off LPIPS"];
         assert_eq!(table.columns[..3], baseline);
-        let deltas = ["paper ΔP", "paper ΔS", "paper ΔL", "control ΔP", "control ΔS", "control ΔL"];
+        let deltas = ["genetic ΔP", "genetic ΔS", "genetic ΔL", "control ΔP", "control ΔS", "control ΔL"];
         assert_eq!(table.columns[3..], deltas);
         let a = row(&table, "a");
         assert_figure(&a[0], 31.0, 1.0);
@@ -264,9 +264,9 @@ mod tests {
             let text = |entry: &Entry| if let Entry::Text(text) = entry { text.clone() } else { String::new() };
             row(&table, start).iter().map(text).collect()
         };
-        assert_eq!(texts("a, 3dgs: paper against off, PSNR"), ["3", "", "3", "0", "0.250"]);
-        assert_eq!(texts("b, 3dgs: paper against control, PSNR"), ["3", "", "0", "3", "0.250"]);
-        assert_eq!(texts("mean of scenes, 3dgs: paper against off, PSNR"), ["2", "", "1", "1", "1.000"]);
+        assert_eq!(texts("a, 3dgs: genetic against off, PSNR"), ["3", "", "3", "0", "0.250"]);
+        assert_eq!(texts("b, 3dgs: genetic against control, PSNR"), ["3", "", "0", "3", "0.250"]);
+        assert_eq!(texts("mean of scenes, 3dgs: genetic against off, PSNR"), ["2", "", "1", "1", "1.000"]);
     }
 
     #[test]
@@ -292,7 +292,7 @@ mod tests {
         let mut results = Results::none(&experiment);
         results.put(experiment.cells()[0], metrics(30.0, None));
         let table = tests(&results, Split::Test);
-        let entries = row(&table, "a, 3dgs: paper against off, PSNR");
+        let entries = row(&table, "a, 3dgs: genetic against off, PSNR");
         assert_eq!(entries[4..], [Entry::absent()]);
     }
 

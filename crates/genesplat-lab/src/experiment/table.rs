@@ -106,7 +106,7 @@ mod tests {
         let figure = |mean, spread, digits, gain| Entry::Figure { mean, spread, digits, gain };
         Table {
             caption: "Test photos.".into(),
-            columns: ["3dgs PSNR", "paper ΔP", "paper ΔS"].map(str::to_owned).into(),
+            columns: ["3dgs PSNR", "genetic ΔP", "genetic ΔS"].map(str::to_owned).into(),
             rows: vec![
                 (
                     "a_b".into(),
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn markdown_is_a_table_with_improvements_in_bold() {
         let text = table().to_markdown();
-        assert!(text.contains("|  | 3dgs PSNR | paper ΔP | paper ΔS |\n| --- | --- | --- | --- |\n"), "{text}");
+        assert!(text.contains("|  | 3dgs PSNR | genetic ΔP | genetic ΔS |\n| --- | --- | --- | --- |\n"), "{text}");
         assert!(text.contains("| a_b | 30.12 ± 0.50 | **+0.26** ± 0.03 | - |\n"), "{text}");
         // What rounds to nothing has no sign, as in the paper.
         assert!(text.contains("| <i>\\| | 31.00 | 0.00 | -0.1000 |\n"), "{text}");
@@ -135,7 +135,7 @@ mod tests {
         table().write_html(&mut page);
         let text = page.into_text();
         assert!(text.contains("<th>&lt;i&gt;|</th>") && !text.contains("<i>"), "{text}");
-        assert!(text.contains("<th>paper ΔP</th>"), "{text}");
+        assert!(text.contains("<th>genetic ΔP</th>"), "{text}");
         assert!(text.contains("<td class=\"better\">+0.26<small> ± 0.03</small></td>"), "{text}");
     }
 }

@@ -6,10 +6,15 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 
-/// The columns that tell one run from another.
-const IDENTITY: [&str; 8] = ["scene", "variant", "max_side", "iterations", "seed", "arm", "commit", "machine"];
+/// The columns that tell one run from another, beside that of the method.
+const IDENTITY: [&str; 7] = ["scene", "max_side", "iterations", "seed", "arm", "commit", "machine"];
 /// Those that runs of one arm have in common.
-const ARM: [&str; 5] = ["scene", "variant", "max_side", "iterations", "arm"];
+const ARM: [&str; 4] = ["scene", "max_side", "iterations", "arm"];
+/// What the column of the method is called: today, and in files of earlier versions.
+const METHOD: [&str; 2] = ["method", "variant"];
+/// Arms, and what files of earlier versions call them.
+const OLD_ARMS: [(&str, &str); 3] =
+    [("genetic", "paper"), ("genesplat", "renew"), ("genesplat-sooner", "renew-sooner")];
 
 /// Where runs were made.
 pub(crate) struct Made<'a> {
@@ -48,15 +53,18 @@ pub(crate) fn add(csv: &str, folder: &Path, made: &Made<'_>) -> Result<String> {
 
 /// Where `names` are among the columns.
 fn places(columns: &[&str], names: &[&str]) -> Result<Vec<usize>> {
-    let places: Vec<usize> = names.iter().filter_map(|name| columns.iter().position(|column| column == name)).collect();
+    let mut places: Vec<usize> =
+        names.iter().filter_map(|name| columns.iter().position(|column| column == name)).collect();
     ensure!(places.len() == names.len(), "its header has not all of {}", names.join(", "));
+    let method = columns.iter().position(|column| METHOD.contains(column));
+    places.push(method.context("its header has no column `method`")?);
     Ok(places)
 }
 
-/// The folders `SCENE/VARIANT/ARM/SEED` of runs that have come to their end, in order of their names.
+/// The folders `SCENE/METHOD/ARM/SEED` of runs that have come to their end, in order of their names.
 fn finished(cells: &Path) -> Result<Vec<PathBuf>> {
     let mut folders = vec![cells.to_owned()];
-    for _ in ["scene", "variant", "arm", "seed"] {
+    for _ in ["scene", "method", "arm", "seed"] {
         let mut below = Vec::new();
         for folder in &folders {
             for entry in fs::read_dir(folder).with_context(|| folder.display().to_string())? {
@@ -88,9 +96,16 @@ fn config(run: &Path) -> Result<toml::Table> {
 /// The values of `columns`, in their order.
 fn line(run: &Path, columns: &[&str], made: &Made<'_>) -> Result<String> {
     let (metrics, config) = (metrics(run)?, config(run)?);
-    let values: Result<Vec<String>> =
-        columns.iter().map(|&column| value(column, run, &metrics, &config, made)).collect();
-    Ok(values?.join(","))
+    let is_old = columns.contains(&"variant");
+    let value = |&column: &&str| match (column, value(column, run, &metrics, &config, made)?) {
+        ("arm", arm) if is_old => Ok(old_arm(arm)),
+        (_, value) => Ok(value),
+    };
+    Ok(columns.iter().map(value).collect::<Result<Vec<String>>>()?.join(","))
+}
+
+fn old_arm(arm: String) -> String {
+    OLD_ARMS.into_iter().find(|(new, _)| *new == arm).map_or(arm, |(_, old)| old.to_owned())
 }
 
 fn value(column: &str, run: &Path, metrics: &Value, config: &toml::Table, made: &Made<'_>) -> Result<String> {
@@ -102,7 +117,9 @@ fn value(column: &str, run: &Path, metrics: &Value, config: &toml::Table, made: 
     let max_side = config.get("dataset").and_then(|dataset| dataset.get("max_side")).and_then(toml::Value::as_integer);
     Ok(match column {
         "scene" => folder(3).into_owned(),
-        "variant" => metrics["variant"].as_str().unwrap_or_default().to_owned(),
+        "method" => metrics["method"].as_str().unwrap_or_default().to_owned(),
+        // That of the cell: what was a mode of it then is a method of its own now, in an arm.
+        "variant" => folder(2).into_owned(),
         "max_side" => max_side.context("config.toml has no dataset.max_side")?.to_string(),
         "iterations" => needed("/iterations", 0)?,
         "seed" => needed("/seed", 0)?,

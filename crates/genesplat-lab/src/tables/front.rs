@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 
-use super::{BASELINE, EVOLVED, Figures, IMPROVED, Part, Run, SINGLE, difference, markdown, runs_in, thousands};
+use super::{BASELINE, Figures, IMPROVED, OURS, Part, Run, SINGLE, difference, markdown, runs_in, thousands};
 
 /// Runs whose seconds were measured apart from their figures, and runs on graphics cards.
 const SECONDS: &str = "seconds";
@@ -24,7 +24,7 @@ pub(super) fn methods(parts: &[Part], results: &Path) -> Result<String> {
         let best = methods.iter().filter_map(|runs| psnr(runs)).fold(f64::NEG_INFINITY, f64::max);
         let [plain, mcmc, improved, ours] = methods.map(|runs| quality(&runs, best));
         lines.push([scene.to_owned(), plain, mcmc, improved, ours]);
-        let [plain, improved, ours] = [BASELINE, IMPROVED, EVOLVED].map(|arm| minutes(part, &timed, arm));
+        let [plain, improved, ours] = [BASELINE, IMPROVED, OURS].map(|arm| minutes(part, &timed, arm));
         if !plain.is_empty() {
             lines.push(["minutes".to_owned(), plain, String::new(), improved, ours]);
         }
@@ -36,7 +36,7 @@ pub(super) fn methods(parts: &[Part], results: &Path) -> Result<String> {
 fn shared_seeds(part: &Part) -> Result<[Vec<&Run>; 3]> {
     let mut shared = [Vec::new(), Vec::new(), Vec::new()];
     for (plain, improved) in part.pairs(BASELINE, IMPROVED)? {
-        if let Some(ours) = part.twin(EVOLVED, improved)? {
+        if let Some(ours) = part.twin(OURS, improved)? {
             for (runs, run) in shared.iter_mut().zip([plain, improved, ours]) {
                 runs.push(run);
             }
@@ -100,7 +100,7 @@ pub(super) fn long_runs(parts: &[Part], _: &Path) -> Result<String> {
     let head = ["480 px, 30,000 iterations: PSNR, dB", "3DGS", "plain with averages", "ours"];
     let psnr = |part: &Part, arm: &str| part.runs_of(arm).first().map_or("", |run| run.text("psnr")).to_owned();
     let line = |part: &Part| {
-        let [plain, averaged, ours] = [BASELINE, "strong-averaged", EVOLVED].map(|arm| psnr(part, arm));
+        let [plain, averaged, ours] = [BASELINE, "strong-averaged", OURS].map(|arm| psnr(part, arm));
         [part.label.clone(), plain, averaged, ours]
     };
     Ok(markdown(head, parts.iter().map(line).collect()))

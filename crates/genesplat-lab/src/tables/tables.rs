@@ -13,21 +13,21 @@ use anyhow::{Context, Result, anyhow, ensure};
 #[path = "front.rs"]
 mod front;
 
-/// Training without evolution, which the other arms are compared with.
+/// 3DGS, which the other arms are compared with.
 const BASELINE: &str = "off";
-/// The arm that a user gets by default.
-const EVOLVED: &str = "renew";
-/// Plain settings, at the published rates and at those of `renew`, without and with averages, in as many iterations and as many
-/// seconds. Evolution is worth what it adds to the best of them, seed by seed.
+/// The default method, as CSV files call it.
+const OURS: &str = "renew";
+/// Plain settings, at the published rates and at ours, without and with averages, in as many iterations and as many seconds.
+/// Ours is worth what it adds to the best of them, seed by seed.
 const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow-averaged", LONGER];
 const LONGER: &str = "strong-longer";
-/// Evolution in about as many seconds as plain settings have.
+/// Ours in about as many seconds as plain settings have.
 const SOONER: &str = "renew-sooner";
-/// The strongest published density control with the cap of `renew`: what a user would otherwise choose.
+/// The strongest published density control with the cap of ours: what a user would otherwise choose.
 const IMPROVED: &str = "improved-gs";
-/// What two runs of a pair have in common, beside their length; an arm whose name begins with its variant is compared with other
-/// variants.
-const PAIRED: [&str; 7] = ["scene", "variant", "max_side", "max_gaussians", "seed", "commit", "machine"];
+/// What two runs of a pair have in common, beside their length; an arm whose name begins with its method is compared with other
+/// methods.
+const PAIRED: [&str; 7] = ["scene", "method", "max_side", "max_gaussians", "seed", "commit", "machine"];
 const END: &str = "<!-- /table -->";
 
 /// A table of the documents.
@@ -54,8 +54,8 @@ const TABLES: [Table; 17] = [
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
     Table { name: "fern-unpruned", file: "fern-unpruned", part: |run| Some(run.size()), write: arms },
     Table { name: "search", file: "ablations", part: |run| Some(run.size()), write: front::search },
-    Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
-    Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
+    Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::method), write: arms },
+    Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::method), write: arms },
     Table { name: "long-runs", file: SINGLE, part: |run| run.of("long", Run::line), write: front::long_runs },
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
     Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
@@ -91,8 +91,8 @@ impl Run {
     }
 
     fn is_paired_with(&self, other: &Self) -> bool {
-        let is_variant = [self, other].iter().any(|run| run.text("arm").starts_with(run.text("variant")));
-        let columns = PAIRED.iter().filter(|&&column| !(is_variant && column == "variant"));
+        let is_method = [self, other].iter().any(|run| run.text("arm").starts_with(run.text("method")));
+        let columns = PAIRED.iter().filter(|&&column| !(is_method && column == "method"));
         self.length() == other.length() && columns.into_iter().all(|column| self.text(column) == other.text(column))
     }
 
@@ -121,12 +121,12 @@ impl Run {
         format!("{}, {}", self.text("scene"), self.pixels_and_length())
     }
 
-    fn trainer(&self) -> String {
+    fn method(&self) -> String {
         let limit = match self.number("max_gaussians") {
             Some(limit) => format!("at most {} Gaussians", thousands(limit)),
             None => "no limit".to_owned(),
         };
-        format!("{}, {limit}", self.text("variant"))
+        format!("{}, {limit}", self.text("method"))
     }
 
     fn line(&self) -> String {
@@ -240,10 +240,11 @@ fn runs_in(file: &str, results: &Path) -> Result<Vec<Run>> {
     runs(&text).with_context(|| path.display().to_string())
 }
 
-/// Runs of a CSV file with a header. No value but the last of a line has commas.
+/// Runs of a CSV file with a header. No value but the last of a line has commas. (A method was a `variant` once.)
 fn runs(csv: &str) -> Result<Vec<Run>> {
     let mut lines = csv.lines();
-    let columns: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let name = |column| if column == "variant" { "method" } else { column };
+    let columns: Vec<&str> = lines.next().unwrap_or_default().split(',').map(name).collect();
     let mut runs = Vec::new();
     for line in lines {
         let values: Vec<&str> = line.splitn(columns.len(), ',').collect();
@@ -253,7 +254,7 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
     Ok(runs)
 }
 
-/// One line a scene: the published trainer, the best of plain settings, evolution, and the strongest other trainer.
+/// One line a scene: 3DGS, the best of plain settings, ours, and the strongest other method.
 fn scenes(parts: &[Part], _: &Path) -> Result<String> {
     // The size stands above the scenes where it is the same for all.
     let sizes: BTreeSet<String> = parts.iter().map(|part| part.runs[0].pixels_and_length()).collect();
@@ -271,16 +272,16 @@ fn scenes(parts: &[Part], _: &Path) -> Result<String> {
     ];
     let mut lines = Vec::new();
     for part in parts {
-        let pairs = part.pairs(BASELINE, EVOLVED)?;
+        let pairs = part.pairs(BASELINE, OURS)?;
         if pairs.is_empty() {
             continue;
         }
-        let (strong_pairs, sooner_pairs) = (part.pairs_with_strong(EVOLVED)?, part.pairs_with_strong(SOONER)?);
-        let improved_pairs = part.pairs_there_are(IMPROVED, EVOLVED)?;
-        let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
+        let (strong_pairs, sooner_pairs) = (part.pairs_with_strong(OURS)?, part.pairs_with_strong(SOONER)?);
+        let improved_pairs = part.pairs_there_are(IMPROVED, OURS)?;
+        let (plain, ours): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
         let [strong, improved] =
             [&strong_pairs, &improved_pairs].map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
-        let arms = [&plain, &strong, &evolved, &improved];
+        let arms = [&plain, &strong, &ours, &improved];
         let psnr = |runs: &[&Run]| Figures::of(runs, |run| run.number("psnr")).mean(|mean| format!("{mean:.2}"));
         let gaussians = arms.map(|runs| {
             let mean = Figures::of(runs, |run| run.number("gaussians")).average();
@@ -297,7 +298,7 @@ fn scenes(parts: &[Part], _: &Path) -> Result<String> {
             pairs.len().to_string(),
             psnr(&plain),
             psnr(&strong),
-            psnr(&evolved),
+            psnr(&ours),
             gain(&strong_pairs, "**"),
             gain(&sooner_pairs, ""),
             gain(&improved_pairs, "**"),

@@ -62,7 +62,7 @@ fn benches_measure_trained_splats_too() {
     succeed(["bench", "step", "--steps", "1"].iter().chain(&trained(text(&run))));
     let report = json(&file);
     assert_eq!((&report["gaussians"], &report["width"]), (&count.into(), &56.into()), "as it was trained");
-    let small = ["bench", "evolution", "--population", "2", "--max-side", "32"];
+    let small = ["bench", "genetic", "--population", "2", "--max-side", "32"];
     succeed(small.iter().chain(&trained(text(&ply))));
     let report = json(&file);
     assert_eq!((&report["gaussians"], &report["views"]), (&count.into(), &6.into()));
@@ -71,7 +71,7 @@ fn benches_measure_trained_splats_too() {
 
 #[test]
 fn a_bench_is_refused_what_contradicts_itself() {
-    for what in ["step", "evolution", "gpu"] {
+    for what in ["step", "genetic", "gpu"] {
         let (data, splat) = (["--data", "absent"], ["--splat", "absent.ply"]);
         refuse(["bench", what].iter().chain(&splat), "--data <DATASET>");
         let counted = ["bench", what, "--gaussians", "9"];
@@ -79,7 +79,7 @@ fn a_bench_is_refused_what_contradicts_itself() {
     }
     refuse(["bench", "gpu", "--data", "absent", "--width", "64"], "cannot be used with");
     fail(["bench", "step", "--data", "absent", "--splat", "absent.ply"], &["absent.ply does not exist"]);
-    for what in ["step", "evolution"] {
+    for what in ["step", "genetic"] {
         fail(["bench", what, "--max-side", "64"], &["name a scene with --data"]);
     }
 }
@@ -92,11 +92,11 @@ fn refuse<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>, nam
 }
 
 #[test]
-fn bench_evolution_finds_the_same_losses_both_ways() {
+fn bench_genetic_finds_the_same_losses_both_ways() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("bench.json");
     let size = ["--gaussians", "1500", "--population", "3", "--json", text(&file)];
-    succeed(["bench", "evolution"].iter().chain(&size));
+    succeed(["bench", "genetic"].iter().chain(&size));
     let report = json(&file);
     assert_eq!((report["gaussians"].as_u64(), report["views"].as_u64()), (Some(1500), Some(1)));
     assert!(number(&report["max_relative_difference"]) <= 1e-5, "{report}");

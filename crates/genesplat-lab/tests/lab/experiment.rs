@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 use crate::support::{command, copy, fail, json, run, succeed, text, train};
 
-/// Small enough for a test; resets once, and evolves then.
+/// Small enough for a test; resets once, and searches then.
 const SMALL: &str = r#"
 title = "<script>alert(1)</script>"
 scenes = ["small"]
@@ -19,8 +19,12 @@ seeds = [0, 1]
 
 [config]
 iterations = 60
-densify.reset_every = 30
-evolution.paper = { generations = 2, population = 4, tournament = 2 }
+method.reset_every = 30
+
+[genetic]
+generations = 2
+population = 4
+tournament = 2
 "#;
 
 fn write(folder: &Path, more: &str) -> PathBuf {
@@ -84,7 +88,7 @@ fn figures(out: &Path) -> Vec<Vec<String>> {
 #[test]
 fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     let folder = tempfile::tempdir().unwrap();
-    let file = write(folder.path(), r#"evolve = ["off", "control", "paper"]"#);
+    let file = write(folder.path(), r#"search = ["off", "control", "genetic"]"#);
     let out = folder.path().join("out");
     let said = succeed(experiment(&file, &out, &[]));
     assert!(said.contains("| small |") && said.contains("cells.csv"), "{said}");
@@ -93,10 +97,10 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
 
     // A control spends what its arm has taken, and nothing else about it differs.
     let cell = |name: &str| out.join("cells/small/3dgs").join(name);
-    let taken = json(&cell("paper/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
+    let taken = json(&cell("genetic/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
     let config: toml::Table = fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
-    assert_eq!(config["evolution"]["extra_steps"]["seconds"].as_float(), Some(taken));
-    assert_eq!(config["evolution"]["mode"].as_str(), Some("off"));
+    assert_eq!(config["extra_steps"]["seconds"].as_float(), Some(taken));
+    assert!(!config.contains_key("genetic"), "{config}");
 
     // Nothing to do.
     succeed(experiment(&file, &out, &[]));
@@ -104,7 +108,7 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
 
     // One cell's metrics are gone, another's are partial; the control of the second follows it.
     fs::remove_file(cell("off/seed-0/metrics.json")).unwrap();
-    let partial = cell("paper/seed-1/metrics.json");
+    let partial = cell("genetic/seed-1/metrics.json");
     let bytes = fs::read(&partial).unwrap();
     fs::write(&partial, &bytes[..bytes.len() / 2]).unwrap();
     let output = run(experiment(&file, &out, &[]));
@@ -113,7 +117,7 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     assert_eq!(board.lines().filter(|line| line.ends_with("finished before")).count(), 3, "{board}");
     let again = times(&out);
     let repeated: Vec<&str> = first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
-    assert_eq!(repeated, ["control/seed-1", "off/seed-0", "paper/seed-1"]);
+    assert_eq!(repeated, ["control/seed-1", "genetic/seed-1", "off/seed-0"]);
     assert_eq!(figures(&out), whole, "the same figures");
 
     // Wherever the folder is now, its cells are the same.
@@ -132,14 +136,14 @@ fn an_interrupted_experiment_goes_on_to_the_same_tables() {
     /// Long enough to be caught in the act.
     const LONGER: [&str; 2] = ["--iterations", "300"];
     let folder = tempfile::tempdir().unwrap();
-    let file = write(folder.path(), r#"evolve = ["off", "paper"]"#);
+    let file = write(folder.path(), r#"search = ["off", "genetic"]"#);
     let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
     succeed(experiment(&file, &whole, &LONGER));
 
     let mut child = command(experiment(&file, &broken, &LONGER));
     let child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let deadline = Instant::now() + Duration::from_secs(100);
-    let second = broken.join("cells/small/3dgs/paper/seed-0/log.jsonl");
+    let second = broken.join("cells/small/3dgs/genetic/seed-0/log.jsonl");
     while !fs::read_to_string(&second).is_ok_and(|log| log.contains(r#""event":"step""#)) {
         assert!(Instant::now() < deadline, "the second cell never began");
         std::thread::sleep(Duration::from_millis(2));
@@ -163,11 +167,11 @@ fn pages_are_whole_escaped_and_load_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("small.toml");
     // Of the bundled scene.
-    let scene = "scenes = [\"gallery\"]\ngallery = { width = 48, height = 32, views = 9, points = 120 }\nevolve = [\"off\", \"paper\"]";
+    let scene = "scenes = [\"gallery\"]\ngallery = { width = 48, height = 32, views = 9, points = 120 }\nsearch = [\"off\", \"genetic\"]";
     fs::write(&file, SMALL.replace("scenes = [\"small\"]", scene)).unwrap();
     let out = folder.path().join("out");
     succeed(experiment(&file, &out, &["--iterations", "40"]));
-    let run = "cells/gallery/3dgs/paper/seed-0/report.html";
+    let run = "cells/gallery/3dgs/genetic/seed-0/report.html";
     for page in ["report.html", run] {
         let html = fs::read_to_string(out.join(page)).unwrap();
         assert!(html.starts_with("<!doctype html>") && html.trim_end().ends_with("</html>"));
@@ -181,7 +185,7 @@ fn pages_are_whole_escaped_and_load_nothing() {
     }
     let html = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(&format!("href=\"{run}\"")));
-    assert!(out.join("qualitative/gallery/3dgs/paper.png").is_file());
+    assert!(out.join("qualitative/gallery/3dgs/genetic.png").is_file());
     for name in ["tables.md", "cells.csv", "experiment.toml"] {
         assert!(fs::metadata(out.join(name)).unwrap().len() > 100, "{name}");
     }
@@ -194,7 +198,7 @@ fn pages_are_whole_escaped_and_load_nothing() {
 /// The file of an experiment on the scenes in the folder `own` beside it, and the arguments that run it there.
 fn on_own_scenes(folder: &Path, scenes: &str) -> Vec<String> {
     let (file, out) = (folder.join("own.toml"), folder.join("out"));
-    let arms = format!("scenes = {scenes}\nevolve = [\"off\", \"paper\"]");
+    let arms = format!("scenes = {scenes}\nsearch = [\"off\", \"genetic\"]");
     fs::write(&file, SMALL.replace("scenes = [\"small\"]", &arms)).unwrap();
     experiment_on(folder, &file, &out, &[])
 }
@@ -227,7 +231,7 @@ fn a_cell_is_not_run_beside_others_of_other_photos() {
     let scene = folder.path().join("one");
     write_scene(&scene, [48, 32], 17);
     succeed(&arguments);
-    let cell = folder.path().join("out/cells/one/3dgs/paper/seed-0");
+    let cell = folder.path().join("out/cells/one/3dgs/genetic/seed-0");
     fs::remove_dir_all(&cell).unwrap();
     write_scene(&scene, [48, 32], 9);
     let is_gone = "photo gallery_009.png, which the run began with, is not there";
@@ -251,16 +255,16 @@ fn a_table_mixes_no_runs_of_different_scenes_or_settings() {
     let scene = folder.path().join("one");
     write_scene(&scene, [48, 32], 9);
     succeed(&arguments);
-    let cell = folder.path().join("out/cells/one/3dgs/paper/seed-1");
+    let cell = folder.path().join("out/cells/one/3dgs/genetic/seed-1");
     let inputs = cell.join("inputs.json");
     let before = fs::read_to_string(&inputs).unwrap();
     let mut other = json(&inputs);
     other["scene"]["photos"][3]["pose"] = other["scene"]["photos"][4]["pose"].clone();
     fs::write(&inputs, other.to_string()).unwrap();
-    let words = ["off/seed-0", "paper/seed-1", "different scenes", "the pose of photo gallery_003.png"];
+    let words = ["off/seed-0", "genetic/seed-1", "different scenes", "the pose of photo gallery_003.png"];
     fail(&arguments, &words);
     fs::write(&inputs, before.replace("seed = 1", "seed = 8")).unwrap();
-    fail(&arguments, &["paper/seed-1", "other settings", "seed is 8 there and 1 here"]);
+    fail(&arguments, &["genetic/seed-1", "other settings", "seed is 8 there and 1 here"]);
     fs::write(&inputs, &before).unwrap();
 
     // The checkpoint of another cell.
@@ -268,17 +272,17 @@ fn a_table_mixes_no_runs_of_different_scenes_or_settings() {
     let of_other = stopped_checkpoint(&scene, &folder.path().join("other"));
     fs::create_dir_all(cell.join("checkpoint")).unwrap();
     fs::copy(of_other, cell.join("checkpoint/latest.checkpoint")).unwrap();
-    fail(&arguments, &["paper/seed-1", "other settings", "by its checkpoint/latest.checkpoint"]);
+    fail(&arguments, &["genetic/seed-1", "other settings", "by its checkpoint/latest.checkpoint"]);
     fs::remove_file(cell.join("checkpoint/latest.checkpoint")).unwrap();
     succeed(&arguments);
 }
 
 /// The checkpoint of a run that has stopped because it found nothing left to train.
 fn stopped_checkpoint(scene: &Path, out: &Path) -> PathBuf {
-    let more = ["--iterations", "60", "--checkpoint-every", "5", "--config"];
+    let more = ["--iterations", "6000", "--steps-scale", "0.01", "--checkpoint-every", "5", "--config"];
     let config = out.with_extension("toml");
-    fs::write(&config, "densify = { from = 1, every = 2, reset_every = 30, prune_opacity = 0.2, reset_opacity = 0.3 }")
-        .unwrap();
+    let method = "method = { name = \"3dgs\", densify_every = 2, reset_every = 30, prune_size = 1e-9 }";
+    fs::write(&config, method).unwrap();
     fail(train(scene, out, &[&more, &[text(&config)][..]].concat()), &["every Gaussian was pruned"]);
     out.join("checkpoint/latest.checkpoint")
 }
@@ -288,7 +292,7 @@ fn stopped_checkpoint(scene: &Path, out: &Path) -> PathBuf {
 fn a_finished_experiment_says_that_its_scene_is_another_now() {
     let folder = tempfile::tempdir().unwrap();
     let (file, out, scene) = (folder.path().join("own.toml"), folder.path().join("out"), folder.path().join("one"));
-    fs::write(&file, SMALL.replace("scenes = [\"small\"]", "scenes = [\"one\"]\nevolve = [\"off\"]")).unwrap();
+    fs::write(&file, SMALL.replace("scenes = [\"small\"]", "scenes = [\"one\"]\nsearch = [\"off\"]")).unwrap();
     write_scene(&scene, [48, 32], 9);
     let arguments = experiment_on(folder.path(), &file, &out, &[]);
     succeed(&arguments);
@@ -302,7 +306,7 @@ fn a_finished_experiment_says_that_its_scene_is_another_now() {
 fn an_experiment_file_of_ones_own_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("experiment.toml");
-    fs::rename(write(folder.path(), "evolve = [\"off\"]"), &file).unwrap();
+    fs::rename(write(folder.path(), "search = [\"off\"]"), &file).unwrap();
     let before = fs::read(&file).unwrap();
     fail(experiment(&file, folder.path(), &[]), &["experiment.toml", "choose another --out"]);
     assert!(before == fs::read(&file).unwrap() && !folder.path().join("cells").exists());
@@ -337,10 +341,14 @@ fn a_cell_that_fails_hides_no_finished_one() {
 #[test]
 fn an_arm_that_fails_keeps_only_its_control_from_running() {
     let folder = tempfile::tempdir().unwrap();
-    let bad = "[[arms]]\nname = \"bad\"\nconfig.evolution.mode = \"paper\"\nconfig.densify = { from = 1, every = 2, prune_opacity = 0.2, reset_opacity = 0.3 }\n\
-               [[arms]]\nname = \"good\"\n";
+    let bad = "[[arms]]\nname = \"bad\"\nconfig.genetic = {}\n\
+               config.method = { densify_every = 2, prune_size = 1e-9 }\n[[arms]]\nname = \"good\"\n\
+               config.method.densify_until = 0\n";
     let file = folder.path().join("small.toml");
-    fs::write(&file, SMALL.replace("seeds = [0, 1]", "seeds = [0]\nevolve = [\"off\", \"control\"]") + bad).unwrap();
+    let one_seed = "seeds = [0]\nsearch = [\"off\", \"control\"]";
+    // Density control begins after iteration 5, and size is a reason to be pruned from the start.
+    let short = SMALL.replace("iterations = 60", "iterations = 6000\nsteps_scale = 0.01");
+    fs::write(&file, short.replace("seeds = [0, 1]", one_seed) + bad).unwrap();
     let out = folder.path().join("out");
     fail(experiment(&file, &out, &[]), &["bad/seed-0", "every Gaussian was pruned"]);
     let arms: Vec<String> = times(&out).into_keys().collect();
@@ -358,11 +366,11 @@ fn what_cannot_be_run_is_said_at_once() {
     fail(preset(&[]), &["poster", "--data"]);
     fail(preset(&["--data", text(folder.path())]), &["no folder called poster, library"]);
     fail(["experiment", "smokee", "--out", text(&out)], &["smokee", "ablation-paper"]);
-    let file = write(folder.path(), r#"evolve = ["off", "sideways"]"#);
+    let file = write(folder.path(), r#"search = ["off", "sideways"]"#);
     fail(experiment(&file, &out, &[]), &["sideways"]);
     let own = folder.path().join("fox");
     fs::create_dir(&own).unwrap();
-    fs::write(&file, SMALL.replace("\"small\"]", "\"fox\"]\nevolve = [\"off\"]")).unwrap();
+    fs::write(&file, SMALL.replace("\"small\"]", "\"fox\"]\nsearch = [\"off\"]")).unwrap();
     fail(experiment_on(folder.path(), &file, &own, &[]), &["fox", "folder of the scene"]);
     assert!(!out.join("cells").exists());
 }
@@ -373,7 +381,7 @@ fn a_job_array_makes_the_same_tables_as_one_process() {
     use std::process::{Command, Stdio};
 
     let folder = tempfile::tempdir().unwrap();
-    let file = write(folder.path(), "evolve = [\"off\", \"control\", \"paper\"]\ncontrol_steps = 5");
+    let file = write(folder.path(), "search = [\"off\", \"control\", \"genetic\"]\ncontrol_steps = 5");
     let [one, many] = ["one", "many"].map(|name| folder.path().join(name));
     succeed(experiment(&file, &one, &[]));
     let listed = succeed(experiment(&file, &many, &["--list"]));

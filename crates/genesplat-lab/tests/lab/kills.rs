@@ -6,6 +6,7 @@
 
 #![cfg(target_os = "linux")]
 
+#[allow(dead_code, reason = "the command's tests use the rest")]
 #[path = "../../../genesplat/tests/command/kills/killer.rs"]
 mod killer;
 #[allow(dead_code, reason = "the command's tests use the rest")]
@@ -23,7 +24,7 @@ fn an_experiment_withstands_kills() {
     let place = tempfile::tempdir().unwrap();
     let [scenes, file, whole] = ["scenes", "two.toml", "whole"].map(|name| place.path().join(name));
     copy_scene(&scenes.join("small"));
-    let text_of_file = "title = \"Two\"\nscenes = [\"small\"]\nseeds = [0, 1]\nevolve = [\"renew\"]\n\
+    let text_of_file = "title = \"Two\"\nscenes = [\"small\"]\nseeds = [0, 1]\nmethods = [\"genesplat\"]\nsearch = [\"off\"]\n\
         config = { steps_scale = 0.002, max_gaussians = 300, checkpoint_every = 20 }";
     fs::write(&file, text_of_file).unwrap();
     let arguments = |out: &Path| {

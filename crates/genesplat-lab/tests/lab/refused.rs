@@ -13,7 +13,7 @@ fn figures_replace_no_input_and_no_folder() {
     let (run, photo) = (finished_run(), scene().join("images/gallery_000.png"));
     let splat = folder.path().join("splat.ply");
     fs::copy(run.join("point_cloud.ply"), &splat).unwrap();
-    for what in ["step", "evolution", "gpu"] {
+    for what in ["step", "genetic", "gpu"] {
         let bench = ["bench", what, "--gaussians", "1000000", "--json", here];
         judge_failure(without_drivers(bench).output().unwrap(), &[here, "is a folder", "name of a file"]);
         let of_splat = ["bench", what, "--data", "absent", "--splat", text(&splat), "--json"];

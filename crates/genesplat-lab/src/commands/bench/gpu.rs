@@ -2,7 +2,7 @@
 //!
 //! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read: the
 //! device's own, stage by stage, and the host's, over steps that are submitted one after the other without waiting, as
-//! in training. Scoring is measured as in `bench evolution`.
+//! in training. Scoring is measured as in `bench genetic`.
 
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ use genesplat::run::output::without_drivers;
 use genesplat::terminal::output;
 use serde::Serialize;
 
-use super::evolution::{founders, just_reset, max_relative_difference};
+use super::genetic::{founders, just_reset, max_relative_difference};
 use super::workload::Source;
 use super::{middle, print_figures};
 use crate::args::BenchGpuArgs;

@@ -1,6 +1,6 @@
 //! `genesplat-lab bench`: the performance claims, as ratios within one run.
 
-pub(crate) mod evolution;
+pub(crate) mod genetic;
 pub(crate) mod gpu;
 pub(crate) mod step;
 mod workload;

@@ -1,6 +1,6 @@
-//! `genesplat-lab bench evolution`: how fast a population is scored, against rendering each individual in full.
+//! `genesplat-lab bench genetic`: how fast a population is scored, against rendering each individual in full.
 //!
-//! The state is the one that evolution meets: a cloud just after an opacity reset, and the initial population of the
+//! The state is the one that the search meets: a cloud just after an opacity reset, and the initial population of the
 //! paper's search. The *plain way* is a full render and the whole loss, one individual and view after the other; the
 //! changes themselves are made off the clock. Both ways must find the same losses.
 
@@ -9,13 +9,13 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat::core::gaussians::{logit, sigmoid};
 use genesplat::core::{Device, Edit, Gaussians, Held, RenderSettings, Renderer, Rng, SparseDelta};
-use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig, Signals};
+use genesplat::evolve::{GeneticAlgorithm, GeneticConfig, Magnitude};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
 
 use super::workload::Source;
 use super::{prepare_cpu, print_figures};
-use crate::args::BenchEvolutionArgs;
+use crate::args::BenchGeneticArgs;
 
 const RESET_OPACITY: f32 = 0.01;
 
@@ -36,7 +36,7 @@ struct Report {
     scoring_bytes: usize,
 }
 
-pub(crate) fn run(args: &BenchEvolutionArgs) -> Result<()> {
+pub(crate) fn run(args: &BenchGeneticArgs) -> Result<()> {
     let mut backend = prepare_cpu(args.machine)?;
     let (views, settings, cloud) = Source::of_cpu(&args.workload)?;
     let scored: Vec<usize> = (0..views.len().min(args.views as usize)).collect();
@@ -80,12 +80,12 @@ pub(crate) fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
     actual.iter().zip(expected).map(difference).max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
-/// The initial population of a paper search whose steps need no gradients.
+/// The initial population of a search whose steps need no gradients.
 pub(crate) fn founders(cloud: &Gaussians, population: u32) -> Result<Vec<SparseDelta>> {
-    let paper = PaperConfig::default();
-    let tournament = paper.tournament.min(population);
-    let config = PaperConfig { population, tournament, magnitude: Magnitude::Unit, ..paper };
-    let algorithm = GeneticAlgorithm::new(config, cloud.all_genes(), Signals::default(), 0.0, Rng::new(0))?;
+    let usual = GeneticConfig::default();
+    let tournament = usual.tournament.min(population);
+    let config = GeneticConfig { population, tournament, magnitude: Magnitude::Unit, ..usual };
+    let algorithm = GeneticAlgorithm::new(config, cloud.all_genes(), None, 0.0, Rng::new(0))?;
     Ok(algorithm.deltas_from_consensus(0..population as usize))
 }
 
