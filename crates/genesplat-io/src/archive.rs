@@ -11,8 +11,9 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 use crate::atomic::write_atomically;
+use crate::names::NameProblem;
 use crate::similar::{CONVERT, UNREAD, has_ending};
-use crate::{input, shown};
+use crate::{input, names, shown};
 
 /// Endings of all that scenes consist of.
 const ENDINGS: [&str; 8] = ["jpg", "jpeg", "png", "webp", "bin", "txt", "json", "ply"];
@@ -138,9 +139,14 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
     let (mut claimed, mut packed) = (0u64, 0u64);
     for index in 0..archive.len() {
         let entry = archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
-        let Some(name) = entry.enclosed_name() else {
-            let name = String::from_utf8_lossy(entry.name_raw()).into_owned();
-            return Err(refused(path, format!("holds {}, which leads out of its folder", shown(name))));
+        let name = match name_of(entry.enclosed_name()) {
+            Ok(name) => name,
+            // The folder itself.
+            Err(NameProblem::Nothing) if entry.is_dir() => continue,
+            Err(problem) => {
+                let name = String::from_utf8_lossy(entry.name_raw()).into_owned();
+                return Err(refused(path, format!("holds {}, which {problem}", shown(name))));
+            }
         };
         if entry.is_symlink() {
             return Err(refused(path, format!("holds {}, which is a link", shown(&name))));
@@ -171,6 +177,11 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
         (true, Some(first)) => Err(ArchiveError::Unread { archive: path.to_owned(), first: first.clone() }),
         (false, _) => Ok(Wanted { entries, unread }),
     }
+}
+
+/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such.
+fn name_of(enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
+    names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?).map(PathBuf::from)
 }
 
 /// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.

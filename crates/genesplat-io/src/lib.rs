@@ -12,6 +12,7 @@ mod error;
 pub mod format;
 pub mod input;
 mod listing;
+pub mod names;
 pub mod photos;
 pub mod ply;
 mod scene;

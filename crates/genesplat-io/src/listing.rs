@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::ffi::OsStr;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
@@ -13,7 +13,7 @@ use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::{Cube, Point};
 use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
-use crate::{plural, shown};
+use crate::{names, plural, shown};
 
 pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
@@ -100,15 +100,19 @@ impl Listing {
     }
 }
 
-/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so.
+/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so; and the one form
+/// of names, where it has one.
 pub(crate) fn separate(name: &mut String, folder: &Path) {
     if name.contains('\\') && !folder.join(&*name).is_file() {
         *name = name.replace('\\', "/");
     }
+    if let Ok(below) = names::below(name) {
+        *name = below;
+    }
 }
 
 /// The photo `name` as a path, if it stays inside its folder.
-pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
+pub(crate) fn inside(name: &str, list: &Path) -> Result<PathBuf, SceneError> {
     path_inside(name).ok_or_else(|| {
         let problem = "which is not a path inside the scene's image folder; correct the name";
         SceneError::invalid(list, format!("lists the photo {name:?}, {problem}"))
@@ -116,10 +120,8 @@ pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneEr
 }
 
 /// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
-pub(crate) fn path_inside(name: &str) -> Option<&Path> {
-    let path = Path::new(name);
-    let stays = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-    (stays && path.file_name().is_some()).then_some(path)
+pub(crate) fn path_inside(name: &str) -> Option<PathBuf> {
+    names::below(name).ok().map(PathBuf::from)
 }
 
 pub(crate) fn no_photos(list: &Path) -> SceneError {

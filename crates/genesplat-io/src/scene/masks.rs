@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::listing::{Listing, base_name};
-use crate::shown;
+use crate::{names, shown};
 
 /// What masks and transparency mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -80,7 +80,7 @@ pub(super) fn find(listing: &mut Listing, scene: &Path) {
 /// The mask of a photo in a folder of masks. `name` is that of the photo as its scene lists it: below the folder of photos,
 /// or with that folder before it.
 pub fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
-    let name = name.trim_start_matches("./");
+    let name = &*names::below(name).ok()?;
     let below = name.split_once('/').map(|(_, below)| below);
     let stem = |name: &str| name.rsplit_once('.').map_or(name.to_owned(), |(stem, _)| stem.to_owned());
     let names = [Some(name), below, Some(base_name(name))].into_iter().flatten();
@@ -88,4 +88,29 @@ pub fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
         [format!("{name}.png"), name.to_owned(), format!("{}.png", stem(name)), format!("{}.mask.png", stem(name))]
     });
     candidates.map(|name| folder.join(name)).find(|path| path.is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn a_mask_is_in_its_folder_whatever_its_photo_is_called() {
+        let place = tempfile::tempdir().unwrap();
+        let [masks, outside] = ["masks", "outside"].map(|name| place.path().join(name));
+        for folder in [&masks, &outside] {
+            fs::create_dir(folder).unwrap();
+            fs::write(folder.join("1.png"), "a mask").unwrap();
+        }
+        let outside = outside.to_string_lossy();
+        for name in [format!("a/{outside}/2.png"), format!("{outside}/1.png"), "a/../../outside/1.png".into()] {
+            assert_eq!(mask_of(&masks, &name), None, "{name}");
+        }
+        fs::write(place.path().join("outside/2.png"), "another").unwrap();
+        assert_eq!(mask_of(&masks, &format!("a/{outside}/2.png")), None);
+        assert_eq!(mask_of(&masks, &format!("a/{outside}/1.png")), Some(masks.join("1.png")), "by its last part");
+        assert_eq!(mask_of(&masks, ".//images//1.jpg"), Some(masks.join("1.png")));
+    }
 }

@@ -133,7 +133,7 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
     let (mut photos, mut missing, mut similar) = (Vec::new(), Vec::new(), Similar::default());
     for entry in &file.frames {
         let relative = inside(&entry.file_path, list)?;
-        let Some((name, path)) = find_photo(folder, relative, &entry.file_path, &mut similar) else {
+        let Some((name, path)) = find_photo(folder, &relative, &entry.file_path, &mut similar) else {
             missing.push(folder.join(relative));
             continue;
         };
@@ -156,7 +156,7 @@ pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, Sce
     let entries = file.frames.iter().map(|entry| {
         let photo = inside(&entry.file_path, list)?;
         splits.purpose(&entry.file_path, list)?;
-        Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), photo)?.0)
+        Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), &photo)?.0)
     });
     entries.collect()
 }

@@ -72,6 +72,11 @@ fn hostile_and_damaged_archives_are_refused_before_anything_is_written() {
     let cases = [
         (zip(&[("../../1.png", b"x")]), "../../1.png, which leads out"),
         (zip(&[("/tmp/1.png", b"x"), ("C:\\1.png", b"x"), ("a/../../1.png", b"y")]), "leads out"),
+        (zip(&[("a\\..\\..\\1.png", b"x")]), "leads out"),
+        (zip(&[("a/../1.png", b"x"), ("1.png", b"y")]), "1.png twice"),
+        (zip(&[("C:\\1.png", b"x")]), "leads out"),
+        (zip(&[("a/1.png", b"x"), ("./a//1.png", b"y")]), "a/1.png twice"),
+        (zip(&[("a/1.png", b"x"), ("a\\1.png", b"y")]), "a/1.png twice"),
         (linked.finish().unwrap().into_inner(), "images.png, which is a link"),
         (locked, "locked by a password"),
         (zip(&[("a/1.png", b"x"), ("A/1.PNG", b"y")]), "1.PNG twice"),

@@ -351,7 +351,7 @@ fn photos_that_cannot_be_used_are_named() {
 
 #[test]
 fn names_that_leave_the_image_folder_are_refused() {
-    for name in ["../secret.png", "/etc/hostname", "a/../../b.png", ""] {
+    for name in ["../secret.png", "/etc/hostname", "a/../../b.png", "", "a\\..\\..\\b.png", "a/..", ".", "./"] {
         let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
             let mut model = tiny_model(2);
             model.images[0].name = name.into();
@@ -359,6 +359,16 @@ fn names_that_leave_the_image_folder_are_refused() {
         });
         assert!(sentence.contains("not a path inside"), "{sentence}");
     }
+}
+
+#[test]
+fn two_names_of_one_photo_are_one() {
+    let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
+        let mut model = tiny_model(2);
+        model.images[1].name = format!(".//{}", model.images[0].name.replace('/', "//"));
+        write_model(&scene.join("sparse/0"), &model).unwrap();
+    });
+    assert!(sentence.contains("twice"), "{sentence}");
 }
 
 #[test]

@@ -1,9 +1,11 @@
 //! The folder of the blocks: how the scene was cut, the scenes of the blocks, and their runs.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use genesplat::io::blocks::{Block, Grid};
+use genesplat::io::names::is_file_name;
 use genesplat::io::{command_line, input, shown};
 use serde::{Deserialize, Serialize};
 
@@ -35,7 +37,13 @@ impl Cut {
         let text = input::read_text(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
         let damaged = || format!("{} is damaged; split the scene again", shown(&path));
         let cut: Self = serde_json::from_str(&text).with_context(damaged)?;
-        ensure!(!cut.grid.blocks().is_empty(), "{}: it has no blocks", damaged());
+        let blocks = cut.grid.blocks();
+        ensure!(!blocks.is_empty(), "{}: it has no blocks", damaged());
+        if let Some(block) = blocks.iter().find(|block| !is_file_name(&block.name)) {
+            bail!("{}: {} is the name of no block", damaged(), shown(&block.name));
+        }
+        let names: HashSet<&str> = blocks.iter().map(|block| &*block.name).collect();
+        ensure!(names.len() == blocks.len(), "{}: two blocks have one name", damaged());
         Ok(cut)
     }
 
@@ -92,10 +100,19 @@ mod tests {
         }
         let file = place.path().join(BLOCKS);
         let axes = r#"{"axes": [[1, 0, 0], [0, 0, 1]]}"#;
-        for damaged in ["{}", &format!(r#"{{"scene": "", "grid": {{"ground": {axes}, "blocks": []}}}}"#)] {
-            fs::write(&file, damaged).unwrap();
+        let of_blocks = |names: &[&str]| {
+            let blocks =
+                names.iter().map(|name| format!(r#"{{"name": "{name}", "core": [[null, null], [null, null]]}}"#));
+            let blocks = blocks.collect::<Vec<_>>().join(", ");
+            format!(r#"{{"scene": "", "grid": {{"ground": {axes}, "blocks": [{blocks}]}}}}"#)
+        };
+        let outside = [&["0-0", "../elsewhere"][..], &["/etc"], &[".."], &[""], &["0-0", "0-0"], &[]];
+        for damaged in outside.map(of_blocks).into_iter().chain(["{}".to_owned()]) {
+            fs::write(&file, &damaged).unwrap();
             assert!(error(place.path()).contains("split the scene again"), "{}", error(place.path()));
         }
+        fs::write(&file, of_blocks(&["0-0", "0-1"])).unwrap();
+        assert!(Cut::read(place.path()).is_ok());
     }
 
     #[test]

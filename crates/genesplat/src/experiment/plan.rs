@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::names::is_file_name;
 use genesplat::io::shown;
 
 use super::arms::{Arm, resolve_arms};
@@ -163,7 +164,7 @@ impl Experiment {
 
 /// `..` would lead out of the experiment's folder.
 fn check_labels(scenes: &[String]) -> Result<()> {
-    let nameless = scenes.iter().find(|scene| Path::new(scene).file_name().is_none());
+    let nameless = scenes.iter().find(|scene| !is_file_name(scene_label(scene)));
     let Some(scene) = nameless else { return Ok(()) };
     bail!("`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data")
 }

@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
-use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown};
+use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, names, shown};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -278,14 +278,13 @@ fn list(folder: &Path) -> Result<Found> {
         let entries = fs::read_dir(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
         for entry in entries.flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
-            let relative = inner.join(&name);
-            let text = relative.to_string_lossy().replace('\\', "/");
+            let relative = inner.join(entry.file_name());
             match entry.path().is_dir() {
                 _ if name.starts_with('.') => {}
                 true if name.starts_with("mask") => found.masks.push(entry.path()),
                 true => folders.push(relative),
-                false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(text),
-                false if has_ending(&name, &UNREAD) => found.others.push(text),
+                false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(name_of(&relative, &entry.path())?),
+                false if has_ending(&name, &UNREAD) => found.others.push(name_of(&relative, &entry.path())?),
                 false => {}
             }
         }
@@ -294,6 +293,13 @@ fn list(folder: &Path) -> Result<Found> {
     found.others.sort();
     found.masks.sort();
     Ok(found)
+}
+
+/// The name of the photo `file`, by which COLMAP knows it.
+fn name_of(relative: &Path, file: &Path) -> Result<String> {
+    names::of_path(relative).map_err(|problem| {
+        anyhow!("the name of the photo {} {problem}, so cameras cannot be found for it; rename it", shown(file))
+    })
 }
 
 fn has_ending(name: &str, endings: &[&str]) -> bool {
@@ -321,6 +327,18 @@ mod tests {
         let Found { photos, others, masks } = list(place.path()).unwrap();
         assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
         assert_eq!(masks, [place.path().join("masks")]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_name_that_leads_out_elsewhere_is_refused() {
+        let photos = tempfile::tempdir().unwrap();
+        for name in ["a\\..\\..\\x.jpg", "a\\2.heic", "\\x.webp"] {
+            file(photos.path(), name);
+            let refusal = Source::open(photos.path(), None).err().unwrap().to_string();
+            assert!(refusal.contains("backslash") && refusal.contains("rename it"), "{refusal}");
+            fs::remove_file(photos.path().join(name)).unwrap();
+        }
     }
 
     #[test]
@@ -460,7 +478,7 @@ mod tests {
         assert_eq!(pairs, [(photos.join("b/1.HEIC"), images.join("b/1.HEIC.jpg"))]);
         assert!(source.fill(&images, place.path(), &never).unwrap());
         assert!(place.path().join("scene/masks/b/1.HEIC.jpg.png").exists());
-        let engine = super::super::engine::Engine::Pycolmap { python: "no-such-python".into(), version: "4".into() };
+        let engine = super::super::engine::Engine::of_python("no-such-python");
         let refused = heic::convert(&pairs, &engine, place.path(), &never).unwrap_err().to_string();
         assert!(refused.contains("1 photo is HEIC") && refused.contains("pip install pillow-heif"), "{refused}");
     }

@@ -4,10 +4,11 @@ use std::cell::RefCell;
 use std::fs;
 use std::io::{self, BufReader, ErrorKind, Write};
 use std::ops::Range;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Gaussians, RowOwners, ScreenFilter, Sight};
+use genesplat::io::names::is_file_name;
 use genesplat::io::{PlyOptions, input, is_transforms, ply, shown, write_ply};
 use genesplat::train::Checkpoint;
 use genesplat::train::checkpoint::JointWriter;
@@ -238,8 +239,7 @@ fn remove_results(folder: &Path) -> Result<()> {
 /// The names of a run's pictures, as far as its figures are known.
 fn pictures(run: &Path) -> Vec<String> {
     let Some(metrics) = Metrics::read(run) else { return Vec::new() };
-    let stays_below = |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-    names_of_pictures(&metrics.test_photos()).into_iter().filter(stays_below).collect()
+    names_of_pictures(&metrics.test_photos()).into_iter().filter(|name| is_file_name(name)).collect()
 }
 
 /// Of a checkpoint that is only looked at.
