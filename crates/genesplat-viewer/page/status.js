@@ -13,6 +13,7 @@ const PHASES = {
 
 export class Status {
   phase = "connecting";
+  #snapshotWait = 0;
   #at = (id) => document.getElementById(id);
   #noticeTimer = 0;
 
@@ -30,8 +31,10 @@ export class Status {
     this.#at("run-actions").hidden = !can_train;
   }
 
-  show({ phase, iteration, iterations, gaussians, loss, psnr, device }) {
+  show({ phase, iteration, iterations, gaussians, loss, psnr, device, snapshot_wait }) {
+    this.#snapshotWait = snapshot_wait;
     this.setPhase(phase);
+    this.#showSnapshot();
     const count = (value) => value.toLocaleString("en");
     const total = iterations ? ` of ${count(iterations)}` : "";
     this.#text("iteration", iteration ? `iteration ${count(iteration)}${total}` : "");
@@ -53,7 +56,15 @@ export class Status {
     label.dataset.phase = phase;
     const isRunning = phase === "training" || phase === "paused";
     this.#text("pause", phase === "paused" ? "Go on" : "Pause");
-    for (const id of ["pause", "snapshot", "stop"]) this.#at(id).disabled = !isRunning;
+    for (const id of ["pause", "stop"]) this.#at(id).disabled = !isRunning;
+    this.#showSnapshot();
+  }
+
+  // The run saves one in some seconds at most.
+  #showSnapshot() {
+    const isRunning = this.phase === "training" || this.phase === "paused";
+    this.#at("snapshot").disabled = !isRunning || this.#snapshotWait > 0;
+    this.#text("snapshot", this.#snapshotWait > 0 ? `Snapshot (in ${this.#snapshotWait} s)` : "Snapshot");
   }
 
   togglePause(send) {

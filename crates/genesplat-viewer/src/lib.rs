@@ -12,6 +12,7 @@
 //! | [`standalone`] | a page to send: one file that holds the splat and draws it by itself |
 //! | `hub` | slots that hold the newest only, between the threads of the pages and the one that renders |
 //! | `server` | threads, time-outs, and caps on all that a stranger can make grow |
+//! | `places` | how many connections there may be, of strangers and of those who have shown the token |
 //! | `gate` | who is let in: the token of the address, Host and Origin |
 //!
 //! The server reads no file: pages are part of the program, photos are in memory.
@@ -31,6 +32,7 @@ pub mod message;
 mod page;
 pub mod path;
 mod picture;
+mod places;
 pub mod render_mode;
 mod server;
 mod socket;

@@ -22,6 +22,8 @@ use crate::server::Server;
 /// Pages are told of progress so often, seconds.
 const STATE_EVERY: f64 = 0.25;
 const CURVES_EVERY: f64 = 2.0;
+/// The least time between two snapshots, seconds: each is a file of the size of the splat.
+const SNAPSHOT_EVERY: f64 = 10.0;
 /// A thread that waits for pages looks so often whether it shall end.
 const WAIT: Duration = Duration::from_millis(100);
 
@@ -61,6 +63,8 @@ struct State {
     gaussians: usize,
     loss: Option<f32>,
     psnr: Option<f64>,
+    /// Until the next snapshot may be saved, whole seconds.
+    snapshot_wait: u32,
 }
 
 #[derive(Default, Serialize)]
@@ -93,6 +97,8 @@ pub struct LiveView {
     curves: Curves,
     /// When pages were last told of each.
     posted: [f64; 2],
+    /// When the last snapshot was saved.
+    saved: Option<f64>,
     /// Renders what the render modes make of a cloud.
     mode_backend: Box<dyn Backend>,
 }
@@ -106,11 +112,20 @@ impl LiveView {
         mode_backend: Box<dyn Backend>,
     ) -> Result<Self, ViewerError> {
         let phase = if can_train { Phase::Training } else { Phase::Viewing };
-        let state =
-            State { phase, device: String::new(), iteration: 0, iterations: 0, gaussians: 0, loss: None, psnr: None };
+        let state = State {
+            phase,
+            device: String::new(),
+            iteration: 0,
+            iterations: 0,
+            gaussians: 0,
+            loss: None,
+            psnr: None,
+            snapshot_wait: 0,
+        };
         let server = Server::start(address, exhibition, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
-        let mut view = Self { server, clock, budget, state, curves, posted: [f64::NEG_INFINITY; 2], mode_backend };
+        let posted = [f64::NEG_INFINITY; 2];
+        let mut view = Self { server, clock, budget, state, curves, posted, saved: None, mode_backend };
         view.post(true);
         Ok(view)
     }
@@ -222,6 +237,7 @@ impl LiveView {
                 self.hub().wait(WAIT);
             }
             self.grant(sight, owner);
+            self.post(false);
         }
         self.hub().change_wishes(|wishes| wishes.paused = false);
         self.set_phase(Phase::Training);
@@ -230,13 +246,25 @@ impl LiveView {
     fn grant(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
         let wishes = self.hub().wishes();
         if wishes.snapshot {
-            let sentence = owner.snapshot(sight);
+            let sentence = self.snapshot(sight, owner);
             self.notice(&sentence);
         }
         if wishes.stop {
             owner.stop();
         }
         self.hub().change_wishes(|wishes| (wishes.snapshot, wishes.stop) = (false, false));
+    }
+
+    /// A page could ask for one after each step, and fill the disk.
+    fn snapshot(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) -> String {
+        let wait = snapshot_wait(self.saved, self.clock.seconds());
+        if wait > 0 {
+            return format!("no snapshot yet: one is saved in {SNAPSHOT_EVERY} seconds at most; try again in {wait}");
+        }
+        let sentence = owner.snapshot(sight);
+        self.saved = Some(self.clock.seconds());
+        self.post(true);
+        sentence
     }
 
     /// Makes the picture that a page has waited for longest; false where none waits.
@@ -308,6 +336,7 @@ impl LiveView {
         let now = self.clock.seconds();
         if at_once || now - self.posted[0] >= STATE_EVERY {
             self.posted[0] = now;
+            self.state.snapshot_wait = snapshot_wait(self.saved, now);
             self.hub().post(Topic::State, &serde_json::to_string(&self.state).expect("numbers and texts are JSON"));
         }
         if at_once || now - self.posted[1] >= CURVES_EVERY {
@@ -319,6 +348,11 @@ impl LiveView {
     fn hub(&self) -> &Hub {
         &self.server.shared.hub
     }
+}
+
+/// Whole seconds until one may be saved again after the last.
+fn snapshot_wait(last: Option<f64>, now: f64) -> u32 {
+    last.map_or(0, |last| (last + SNAPSHOT_EVERY - now).max(0.0).ceil() as u32)
 }
 
 impl Drop for LiveView {

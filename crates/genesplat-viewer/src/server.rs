@@ -3,7 +3,6 @@
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -15,10 +14,9 @@ use crate::gate::Gate;
 use crate::http::{Request, Status, read_request, refuse, respond};
 use crate::hub::Hub;
 use crate::page::part;
+use crate::places::{Place, Places};
 use crate::socket::{self, TimedStream};
 
-/// Most connections at a time: a browser opens six for the parts of a page, and keeps one.
-const CONNECTIONS_MAX: usize = 32;
 /// Whoever connects has so long to ask, and as long to take the answer.
 const REQUEST_WAIT: Duration = Duration::from_secs(4);
 /// How long pages are waited for when the server ends.
@@ -33,7 +31,7 @@ pub(crate) struct Shared {
     /// The page has buttons that steer a training run.
     pub(crate) can_train: bool,
     gate: Gate,
-    connections: AtomicUsize,
+    places: Arc<Places>,
 }
 
 /// Serves until it is dropped.
@@ -49,8 +47,8 @@ impl Server {
         let listener = TcpListener::bind(address).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
         let gate = Gate::new(address.ip())?;
-        let (hub, connections) = (Hub::default(), AtomicUsize::new(0));
-        let shared = Arc::new(Shared { hub, exhibition, can_train, gate, connections });
+        let (hub, places) = (Hub::default(), Arc::default());
+        let shared = Arc::new(Shared { hub, exhibition, can_train, gate, places });
         let of_thread = shared.clone();
         let acceptor = thread::Builder::new()
             .name("viewer".into())
@@ -78,10 +76,7 @@ impl Drop for Server {
         if let Some(acceptor) = self.acceptor.take() {
             let _ = acceptor.join();
         }
-        let began = Instant::now();
-        while self.shared.connections.load(Ordering::Relaxed) > 0 && began.elapsed() < CLOSE_WAIT {
-            thread::sleep(Duration::from_millis(5));
-        }
+        self.shared.places.wait_until_empty(CLOSE_WAIT);
     }
 }
 
@@ -124,38 +119,23 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
 
 /// Gives the connection a thread, where there is one left for it.
 fn begin(stream: TcpStream, shared: &Arc<Shared>) {
-    let place = Place::take(shared);
-    let Some(place) = place else {
+    // Where there are no files for one more, it ends.
+    let Ok(place) = shared.places.enter(&stream) else { return };
+    let Some(mut place) = place else {
         if let Ok(mut stream) = TimedStream::new(stream, ACCEPT_PAUSE, ACCEPT_PAUSE) {
             let _ = refuse(&mut stream, Status::Busy);
         }
         return;
     };
+    let shared = shared.clone();
     // Without a thread the connection ends, and its place is free again.
     let _ = thread::Builder::new().name("viewer page".into()).spawn(move || {
         // Whoever hangs up gets no answer.
-        let _ = converse(stream, &place.0);
+        let _ = converse(stream, &shared, &mut place);
     });
 }
 
-/// One of [`CONNECTIONS_MAX`]; free again when it is dropped.
-struct Place(Arc<Shared>);
-
-impl Place {
-    fn take(shared: &Arc<Shared>) -> Option<Self> {
-        let place = Self(shared.clone());
-        let before = shared.connections.fetch_add(1, Ordering::Relaxed);
-        (before < CONNECTIONS_MAX).then_some(place)
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.connections.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
-fn converse(stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
+fn converse(stream: TcpStream, shared: &Shared, place: &mut Place) -> std::io::Result<()> {
     let mut timed = TimedStream::new(stream.try_clone()?, REQUEST_WAIT, 2 * REQUEST_WAIT)?;
     let read = read_request(&mut Hurried { stream: &mut timed, by: Instant::now() + REQUEST_WAIT });
     let (request, rest) = match read {
@@ -167,6 +147,9 @@ fn converse(stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
         Ok(path) => path,
         Err(status) => return refuse(&mut timed, status),
     };
+    if !place.admit() {
+        return refuse(&mut timed, Status::Busy);
+    }
     if path == "socket" {
         let Some(answer) = upgrade(&request) else { return refuse(&mut timed, Status::BadRequest) };
         timed.write_all(answer.as_bytes())?;

@@ -70,6 +70,32 @@ fn clients_that_connect_and_vanish_leave_nothing_behind() {
     assert_serves(&show);
 }
 
+/// Before, they kept everybody out for four seconds, again and again.
+#[test]
+fn silent_connections_keep_nobody_out_who_has_the_token() {
+    let _turn = TURN.lock();
+    let (show, quiet) = show(100);
+    let mut before = show.page().unwrap();
+    let mut silent: Vec<_> = (0..60).map(|_| show.connect()).collect();
+    let mut pages: Vec<_> = (0..3).map(|_| show.page().expect("whoever has the token is let in")).collect();
+    // Letters that never become a request are no better.
+    for _ in 0..60 {
+        let mut stream = show.connect();
+        stream.write_all(b"GET /").unwrap();
+        silent.push(stream);
+    }
+    let (path, host) = (show.url.split_once(show.host()).unwrap().1, show.host());
+    let (line, _) = show.answer(&format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    assert!(line.contains("200"), "{line}");
+    for page in pages.iter_mut().chain([&mut before]) {
+        page.send(look(7, 64, 48, "colour")).unwrap();
+        assert_eq!(picture(page).0["sequence"], 7, "who was let in stays");
+    }
+    assert!(threads() <= quiet + 4 + 32, "{} threads", threads());
+    drop((silent, pages, before));
+    assert!(comes_true(10, || threads() <= quiet), "{} threads instead of {quiet}", threads());
+}
+
 #[test]
 fn a_page_too_many_is_told_so() {
     let _turn = TURN.lock();

@@ -4,4 +4,5 @@ mod abuse;
 mod memory;
 mod pictures;
 mod scripts;
+mod snapshots;
 mod support;

@@ -69,3 +69,8 @@ fn a_page_without_cameras_opens_in_front_of_its_scene() {
 fn a_browser_that_is_too_old_for_a_sent_page_says_so() {
     run("old_browser");
 }
+
+#[test]
+fn the_button_for_a_snapshot_counts_down() {
+    run("snapshot");
+}

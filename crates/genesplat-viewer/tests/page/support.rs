@@ -59,13 +59,11 @@ impl Show {
 
     /// `127.0.0.1:PORT`.
     pub(crate) fn host(&self) -> &str {
-        self.url.split('/').nth(2).unwrap()
+        host(&self.url)
     }
 
     pub(crate) fn connect(&self) -> TcpStream {
-        let stream = TcpStream::connect(self.host()).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-        stream
+        connect(self.host())
     }
 
     /// The first line of the answer to a request, and all of it.
@@ -81,9 +79,7 @@ impl Show {
 
     /// A socket to which nothing was said yet.
     pub(crate) fn socket(&self) -> Option<WebSocket<TcpStream>> {
-        let mut request = format!("ws{}socket", self.url.strip_prefix("http").unwrap()).into_client_request().unwrap();
-        request.headers_mut().insert("origin", format!("http://{}", self.host()).parse().unwrap());
-        Some(tungstenite::client(request, self.connect()).ok()?.0)
+        socket(&self.url)
     }
 
     /// A page's socket; `None` where the server has no room.
@@ -91,6 +87,23 @@ impl Show {
         let mut socket = self.socket()?;
         matches!(socket.read(), Ok(Message::Text(hello)) if hello.contains("hello")).then_some(socket)
     }
+}
+
+fn host(url: &str) -> &str {
+    url.split('/').nth(2).unwrap()
+}
+
+fn connect(host: &str) -> TcpStream {
+    let stream = TcpStream::connect(host).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    stream
+}
+
+/// The socket of the page at `url`.
+pub(crate) fn socket(url: &str) -> Option<WebSocket<TcpStream>> {
+    let mut request = format!("ws{}socket", url.strip_prefix("http").unwrap()).into_client_request().unwrap();
+    request.headers_mut().insert("origin", format!("http://{}", host(url)).parse().unwrap());
+    Some(tungstenite::client(request, connect(host(url))).ok()?.0)
 }
 
 impl Drop for Show {
