@@ -16,6 +16,7 @@ mod live;
 mod lpips;
 mod overwrite;
 mod poses;
+mod programs;
 mod report;
 mod run;
 mod scene;

@@ -1,7 +1,7 @@
 //! `genesplat render --path`: a splat seen by a camera that moves, as PNGs, or as a film that ffmpeg makes of them.
 
 use std::fs;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,6 +16,7 @@ use super::render::STOPPING;
 use crate::args::{PathChoice, RenderArgs};
 use crate::files::unwritable;
 use crate::overwrite::{self, Content};
+use crate::programs::Programs;
 use crate::splat::Splat;
 use crate::terminal::progress::Bar;
 use crate::terminal::{interrupt, output};
@@ -113,13 +114,15 @@ impl Sink {
         let name = out.file_name().unwrap_or_default().to_string_lossy();
         let unfinished = out.with_file_name(format!(".genesplat-{}-{name}", std::process::id()));
         let Camera { width, height, .. } = cameras[0];
-        let ffmpeg = ffmpeg(&unfinished, width, height).spawn().map_err(|error| match error.kind() {
-            ErrorKind::NotFound => anyhow!(
+        let programs = Programs::default();
+        let program = programs.find(&["ffmpeg"]).ok_or_else(|| {
+            anyhow!(
                 "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
                 shown(out)
-            ),
-            _ => anyhow!("cannot start ffmpeg: {error}"),
+            )
         })?;
+        let ffmpeg = ffmpeg(programs.command(&program), &unfinished, width, height);
+        let ffmpeg = { ffmpeg }.spawn().map_err(|error| anyhow!("cannot start {}: {error}", shown(program)))?;
         Ok(Self::Film(Film { ffmpeg, unfinished, path: out.to_owned() }))
     }
 
@@ -182,8 +185,7 @@ fn frame_path(folder: &Path, frame: u32) -> PathBuf {
 }
 
 /// Frames come as raw pixels.
-fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
-    let mut command = Command::new("ffmpeg");
+fn ffmpeg(mut command: Command, out: &Path, width: u32, height: u32) -> Command {
     let size = format!("{width}x{height}");
     command.args([
         "-loglevel",

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use serde_json::{Value, json};
 
 use super::process;
 use super::stages::{Job, Stage};
+use crate::programs::Programs;
 
 /// Names the Python to use.
 const PYTHON: &str = "GENESPLAT_PYTHON";
@@ -23,7 +24,12 @@ const MAX_FEATURES: u32 = 8192;
 /// on a turntable do not tell, a shoe was found at a quarter of its height.
 const CAMERA_MODEL: &str = "SIMPLE_RADIAL";
 
-pub(crate) enum Engine {
+pub(crate) struct Engine {
+    tool: Tool,
+    programs: Programs,
+}
+
+enum Tool {
     Pycolmap {
         python: PathBuf,
         version: String,
@@ -36,55 +42,39 @@ pub(crate) enum Engine {
 }
 
 impl Engine {
-    /// The Python of `GENESPLAT_PYTHON`, else one on `PATH` that has pycolmap, else the program `colmap` there.
-    pub(crate) fn find() -> Result<Self> {
-        let install = "install it (`pip install pycolmap`, 40 MB, works offline)";
-        if let Some(named) = std::env::var_os(PYTHON) {
-            let python = PathBuf::from(named);
-            let Some(version) = pycolmap_version(&python) else {
-                bail!("{PYTHON} names {}, which has no pycolmap; {install}, or name another Python", shown(python));
-            };
-            return Ok(Self::Pycolmap { python, version });
-        }
-        for python in ["python3", "python"].iter().filter_map(|name| process::on_path(&[name])) {
-            if let Some(version) = pycolmap_version(&python) {
-                return Ok(Self::Pycolmap { python, version });
-            }
-        }
-        if let Some(program) = process::on_path(&["colmap"]) {
-            let help = output_of(&program, &["feature_extractor", "-h"]).unwrap_or_default();
-            return Ok(Self::Colmap { program, has_feature_options: help.contains("--FeatureExtraction.use_gpu") });
-        }
-        bail!(
-            "cameras are found by pycolmap, and no Python on PATH has it; {install}, or put the program colmap on PATH; {PYTHON} names \
-             a Python elsewhere"
-        )
+    pub(crate) fn find(programs: Programs) -> Result<Self> {
+        Ok(Self { tool: Tool::find(&programs)?, programs })
     }
 
     pub(crate) fn name(&self) -> String {
-        match self {
-            Self::Pycolmap { version, .. } => format!("pycolmap {version}"),
-            Self::Colmap { program, .. } => shown(program),
+        match &self.tool {
+            Tool::Pycolmap { version, .. } => format!("pycolmap {version}"),
+            Tool::Colmap { program, .. } => shown(program),
         }
     }
 
+    /// The Python that has pycolmap, with this `script`.
+    pub(crate) fn python(&self, script: &str) -> Option<Command> {
+        let Tool::Pycolmap { python, .. } = &self.tool else { return None };
+        Some(self.programs.python(python, script))
+    }
+
     pub(crate) fn command(&self, stage: Stage, job: &Job) -> Command {
-        match self {
-            Self::Pycolmap { python, .. } => {
-                let mut command = Command::new(python);
-                command.args(["-c", DRIVER, &request(stage, job).to_string()]);
+        match &self.tool {
+            Tool::Pycolmap { python, .. } => {
+                let mut command = self.programs.python(python, DRIVER);
+                command.arg(request(stage, job).to_string());
                 command
             }
-            Self::Colmap { program, has_feature_options } => colmap_command(program, *has_feature_options, stage, job),
+            Tool::Colmap { program, has_feature_options } => {
+                colmap_command(self.programs.command(program), *has_feature_options, stage, job)
+            }
         }
     }
 
     /// How many pieces of a stage are done, if `line` says so.
     pub(crate) fn progress(&self, stage: Stage, line: &str) -> Option<usize> {
-        match self {
-            Self::Pycolmap { .. } => usize::try_from(message(line)?.get("done")?.as_u64()?).ok(),
-            Self::Colmap { .. } => colmap_progress(stage, line),
-        }
+        self.tool.progress(stage, line)
     }
 
     /// Mean reprojection errors of models, px, if `line` says them.
@@ -101,9 +91,9 @@ impl Engine {
         stop: &AtomicBool,
         errors_px: &mut BTreeMap<String, f64>,
     ) -> Result<()> {
-        let Self::Colmap { program, .. } = self else { return Ok(()) };
+        let Tool::Colmap { program, .. } = &self.tool else { return Ok(()) };
         for model in std::fs::read_dir(&job.models)?.flatten() {
-            let mut command = Command::new(program);
+            let mut command = self.programs.command(program);
             command.arg("model_analyzer").arg("--path").arg(model.path());
             process::run(&mut command, log, stop, |line| {
                 let error =
@@ -117,14 +107,56 @@ impl Engine {
     }
 }
 
-fn pycolmap_version(python: &Path) -> Option<String> {
-    let said = output_of(python, &["-c", "import pycolmap; print(pycolmap.__version__)"])?;
-    Some(said.trim().to_owned()).filter(|version| !version.is_empty())
+#[cfg(test)]
+impl Engine {
+    pub(super) fn of_python(python: &str) -> Self {
+        let tool = Tool::Pycolmap { python: python.into(), version: "4".into() };
+        Self { tool, programs: Programs::default() }
+    }
+}
+
+impl Tool {
+    /// The Python of `GENESPLAT_PYTHON`, else one on `PATH` that has pycolmap, else the program `colmap` there.
+    fn find(programs: &Programs) -> Result<Self> {
+        let install = "install it (`pip install pycolmap`, 40 MB, works offline)";
+        if let Some(named) = std::env::var_os(PYTHON) {
+            let found = programs.named(&named).and_then(|python| Self::pycolmap(python, programs));
+            return found.ok_or_else(|| {
+                anyhow!("{PYTHON} names {}, which has no pycolmap; {install}, or name another Python", shown(named))
+            });
+        }
+        let pythons = ["python3", "python"].into_iter().filter_map(|name| programs.find(&[name]));
+        if let Some(found) = pythons.into_iter().find_map(|python| Self::pycolmap(python, programs)) {
+            return Ok(found);
+        }
+        if let Some(program) = programs.find(&["colmap"]) {
+            let help = output_of(programs.command(&program).args(["feature_extractor", "-h"])).unwrap_or_default();
+            return Ok(Self::Colmap { program, has_feature_options: help.contains("--FeatureExtraction.use_gpu") });
+        }
+        bail!(
+            "cameras are found by pycolmap, and no Python on PATH has it; {install}, or put the program colmap on PATH; {PYTHON} names \
+             a Python elsewhere"
+        )
+    }
+
+    /// `python`, if it has pycolmap.
+    fn pycolmap(python: PathBuf, programs: &Programs) -> Option<Self> {
+        let said = output_of(&mut programs.python(&python, "import pycolmap; print(pycolmap.__version__)"))?;
+        let version = Some(said.trim().to_owned()).filter(|version| !version.is_empty())?;
+        Some(Self::Pycolmap { python, version })
+    }
+
+    fn progress(&self, stage: Stage, line: &str) -> Option<usize> {
+        match self {
+            Self::Pycolmap { .. } => usize::try_from(message(line)?.get("done")?.as_u64()?).ok(),
+            Self::Colmap { .. } => colmap_progress(stage, line),
+        }
+    }
 }
 
 /// What a program writes to stdout, if it succeeds.
-fn output_of(program: &Path, arguments: &[&str]) -> Option<String> {
-    let ran = Command::new(program).args(arguments).output().ok()?;
+fn output_of(command: &mut Command) -> Option<String> {
+    let ran = command.output().ok()?;
     ran.status.success().then(|| String::from_utf8_lossy(&ran.stdout).into_owned())
 }
 
@@ -160,45 +192,45 @@ fn max_distortion(job: &Job) -> f64 {
     if job.single_camera { 100.0 } else { 1.0 }
 }
 
-fn colmap_command(program: &Path, has_feature_options: bool, stage: Stage, job: &Job) -> Command {
+/// `colmap` with the arguments of a stage.
+fn colmap_command(mut colmap: Command, has_feature_options: bool, stage: Stage, job: &Job) -> Command {
     let [extraction, matching] = match has_feature_options {
         true => ["FeatureExtraction", "FeatureMatching"],
         false => ["SiftExtraction", "SiftMatching"],
     };
     let threads = job.threads.map_or(-1, i32::from).to_string();
-    let mut command = Command::new(program);
     let sequence = job.neighbours.map(|neighbours| neighbours.to_string());
     match (stage, &sequence) {
         (Stage::Features, _) => {
-            command.arg("feature_extractor").arg("--image_path").arg(&job.images);
-            command.arg("--database_path").arg(&job.database);
+            colmap.arg("feature_extractor").arg("--image_path").arg(&job.images);
+            colmap.arg("--database_path").arg(&job.database);
             if let Some(masks) = &job.masks {
-                command.arg("--ImageReader.mask_path").arg(masks);
+                colmap.arg("--ImageReader.mask_path").arg(masks);
             }
             let single = i32::from(job.single_camera).to_string();
-            command.args(["--ImageReader.single_camera", &single, "--ImageReader.camera_model", CAMERA_MODEL]);
-            command.args([format!("--{extraction}.use_gpu"), "0".into()]);
-            command.args([format!("--{extraction}.num_threads"), threads]);
-            command.args([format!("--{extraction}.max_image_size"), MAX_SIDE.to_string()]);
-            command.args(["--SiftExtraction.max_num_features", &MAX_FEATURES.to_string()]);
+            colmap.args(["--ImageReader.single_camera", &single, "--ImageReader.camera_model", CAMERA_MODEL]);
+            colmap.args([format!("--{extraction}.use_gpu"), "0".into()]);
+            colmap.args([format!("--{extraction}.num_threads"), threads]);
+            colmap.args([format!("--{extraction}.max_image_size"), MAX_SIDE.to_string()]);
+            colmap.args(["--SiftExtraction.max_num_features", &MAX_FEATURES.to_string()]);
         }
         (Stage::Matches, sequence) => {
-            command.arg(if sequence.is_some() { "sequential_matcher" } else { "exhaustive_matcher" });
-            command.arg("--database_path").arg(&job.database);
-            command.args([format!("--{matching}.use_gpu"), "0".into()]);
-            command.args([format!("--{matching}.num_threads"), threads]);
+            colmap.arg(if sequence.is_some() { "sequential_matcher" } else { "exhaustive_matcher" });
+            colmap.arg("--database_path").arg(&job.database);
+            colmap.args([format!("--{matching}.use_gpu"), "0".into()]);
+            colmap.args([format!("--{matching}.num_threads"), threads]);
             if let Some(neighbours) = sequence {
-                command.args(["--SequentialMatching.overlap", neighbours]);
+                colmap.args(["--SequentialMatching.overlap", neighbours]);
             }
         }
         (Stage::Cameras, _) => {
-            command.arg("mapper").arg("--database_path").arg(&job.database);
-            command.arg("--image_path").arg(&job.images).arg("--output_path").arg(&job.models);
-            command.args(["--Mapper.num_threads", &threads]);
-            command.args(["--Mapper.max_extra_param", &max_distortion(job).to_string()]);
+            colmap.arg("mapper").arg("--database_path").arg(&job.database);
+            colmap.arg("--image_path").arg(&job.images).arg("--output_path").arg(&job.models);
+            colmap.args(["--Mapper.num_threads", &threads]);
+            colmap.args(["--Mapper.max_extra_param", &max_distortion(job).to_string()]);
         }
     }
-    command
+    colmap
 }
 
 /// `Processed file [3/50]`, or `Registering image #12 (7)`, in the words of several versions.
@@ -241,7 +273,7 @@ mod tests {
 
     #[test]
     fn the_program_is_told_what_pycolmap_is_told() {
-        let of = |stage, new| words(&colmap_command(Path::new("colmap"), new, stage, &job()));
+        let of = |stage, new| words(&colmap_command(Command::new("colmap"), new, stage, &job()));
         let features = of(Stage::Features, false);
         assert!(
             features.starts_with("feature_extractor --image_path images --database_path database.db"),
@@ -258,11 +290,12 @@ mod tests {
 
     #[test]
     fn progress_is_read_from_both() {
-        let colmap = Engine::Colmap { program: "colmap".into(), has_feature_options: true };
+        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let colmap = Engine { tool, programs: Programs::default() };
         assert_eq!(colmap.progress(Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
         assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (7)"), Some(7));
         assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (num_reg_frames=7)"), Some(7));
-        let pycolmap = Engine::Pycolmap { python: "python3".into(), version: "4".into() };
+        let pycolmap = Engine::of_python("python3");
         assert_eq!(pycolmap.progress(Stage::Matches, r#"{"done": 4, "total": 36}"#), Some(4));
         assert_eq!(pycolmap.progress(Stage::Matches, "I2026 matching.cc"), None);
         assert_eq!(pycolmap.reprojection_errors(r#"{"errors_px": {"0": 0.5}}"#), [("0".to_owned(), 0.5)].into());

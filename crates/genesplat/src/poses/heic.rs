@@ -19,7 +19,7 @@ const SCRIPT: &str = include_str!("heic.py");
 /// Writes each first file as the second, a JPEG; false where `stop` has ended it.
 pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path, stop: &AtomicBool) -> Result<bool> {
     let Some((first, _)) = pairs.first() else { return Ok(true) };
-    let Some(python) = converter(engine) else {
+    let Some(mut command) = converter(engine) else {
         bail!(
             "{} {} HEIC, first {}, and {} cannot read them; install pillow-heif (`pip install pillow-heif`) beside pycolmap, or \
              convert them to JPEG",
@@ -32,16 +32,14 @@ pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path
     let list = work.join("heic.json");
     write_json(&list, &pairs)?;
     let mut bar = Bar::new("photos", pairs.len() as u64);
-    let mut command = Command::new(python);
-    command.args(["-c", SCRIPT]).arg(list);
+    command.arg(list);
     process::run(&mut command, &work.join("heic.log"), stop, |line| {
         line.trim().parse().into_iter().for_each(|done| bar.set(done, String::new));
     })
 }
 
-/// The Python that can do it.
-fn converter(engine: &Engine) -> Option<&Path> {
-    let Engine::Pycolmap { python, .. } = engine else { return None };
-    let ran = Command::new(python).args(["-c", "import pillow_heif, PIL"]).output();
-    ran.is_ok_and(|ran| ran.status.success()).then_some(python)
+/// The Python that can do it, with the script.
+fn converter(engine: &Engine) -> Option<Command> {
+    let ran = engine.python("import pillow_heif, PIL")?.output();
+    ran.is_ok_and(|ran| ran.status.success()).then(|| engine.python(SCRIPT))?
 }

@@ -20,6 +20,7 @@ use anyhow::{Result, ensure};
 use genesplat::io::{plural, shown};
 
 use crate::files::unwritable;
+use crate::programs::Programs;
 use crate::run::lock::Lock;
 use crate::terminal::output;
 use engine::Engine;
@@ -60,7 +61,8 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));
     }
-    let prepared = Engine::find().and_then(|engine| prepare(request, &source, &work, engine, stop));
+    let prepared = Engine::find(Programs::beside(request.photos))
+        .and_then(|engine| prepare(request, &source, &work, engine, stop));
     if prepared.is_err() && is_new {
         photos::forget(request.out, &work);
     }

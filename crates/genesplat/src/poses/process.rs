@@ -4,11 +4,11 @@ use genesplat::io::shown;
 use std::error::Error;
 use std::fmt;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::Duration;
 
@@ -36,11 +36,10 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     let program = PathBuf::from(command.get_program());
     let mut file = File::options().create(true).append(true).open(log).map_err(|error| unwritable(log, &error))?;
     let mut child = start(command).map_err(|error| anyhow!("cannot start {}: {error}", shown(&program)))?;
-    let (sender, lines) = channel();
-    let listeners = [
-        child.stdout.take().map(|stream| listen(stream, sender.clone())),
-        child.stderr.take().map(|stream| listen(stream, sender)),
-    ];
+    let (lines, listeners) = listen_to(&mut child).map_err(|error| {
+        end(&mut child);
+        anyhow!("cannot start a thread that listens to {}: {error}; raise the limits of this process", shown(&program))
+    })?;
     let (mut last, mut error) = (String::new(), None);
     loop {
         if stop.load(Ordering::Relaxed) {
@@ -62,7 +61,7 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
             Err(RecvTimeoutError::Disconnected) => break,
         }
     }
-    listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
+    listeners.into_iter().for_each(|listener| drop(listener.join()));
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
         let sentence = match error.unwrap_or(last).trim() {
@@ -90,7 +89,7 @@ fn is_error(line: &str) -> bool {
 }
 
 /// Its stdin is a pipe that nothing is written to: a program that listens to it learns when we are gone.
-fn start(command: &mut Command) -> std::io::Result<Child> {
+fn start(command: &mut Command) -> io::Result<Child> {
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     // Ctrl-C is ours to hear: the program is ended when there is a moment for it.
     #[cfg(unix)]
@@ -98,8 +97,18 @@ fn start(command: &mut Command) -> std::io::Result<Child> {
     command.spawn()
 }
 
-fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) -> thread::JoinHandle<()> {
-    thread::spawn(move || {
+type Listeners = Vec<thread::JoinHandle<()>>;
+
+/// The lines that a program writes, and the threads that pass them on.
+fn listen_to(child: &mut Child) -> io::Result<(Receiver<String>, Listeners)> {
+    let (sender, lines) = channel();
+    let stdout = child.stdout.take().map(|stream| listen(stream, sender.clone())).transpose()?;
+    let stderr = child.stderr.take().map(|stream| listen(stream, sender)).transpose()?;
+    Ok((lines, stdout.into_iter().chain(stderr).collect()))
+}
+
+fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) -> io::Result<thread::JoinHandle<()>> {
+    thread::Builder::new().name("listener".into()).spawn(move || {
         let mut stream = BufReader::new(stream);
         let mut bytes = Vec::new();
         while stream.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
@@ -116,14 +125,6 @@ fn end(child: &mut Child) {
     // It has ended by itself where this fails.
     let _ = child.kill();
     let _ = child.wait();
-}
-
-/// The first of these programs that `PATH` has.
-pub(crate) fn on_path(names: &[&str]) -> Option<PathBuf> {
-    let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH")?).collect();
-    let endings = if cfg!(windows) { &[".exe", ""][..] } else { &[""] };
-    let files = names.iter().flat_map(|name| endings.iter().map(move |end| format!("{name}{end}")));
-    files.flat_map(|file| folders.iter().map(move |folder| folder.join(&file))).find(|path| path.is_file())
 }
 
 #[cfg(all(test, unix))]

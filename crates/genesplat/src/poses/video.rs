@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use super::process;
 use crate::files::{make_empty, unwritable, write_text};
+use crate::programs::Programs;
 use crate::sharpness::laplacian_variance;
 use crate::terminal::output;
 use crate::terminal::progress::Bar;
@@ -37,19 +38,21 @@ struct Video {
 
 /// Puts `frames` frames of `video`, or all if it has fewer, into `images`; false where `stop` has ended it.
 pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
+    let programs = Programs::default();
     let (mark, candidates) = (work.join("frames.done"), work.join("candidates"));
     if mark.exists() {
         return Ok(true);
     }
-    let Some(ffmpeg) = process::on_path(&["ffmpeg"]) else {
+    let Some(ffmpeg) = programs.find(&["ffmpeg"]) else {
         bail!("frames of a video are taken by ffmpeg, which is not on PATH; install it, or give a folder of photos");
     };
     make_empty(&candidates)?;
     make_empty(images)?;
-    let about = probe(&ffmpeg, video)?;
+    let command = || programs.command(&ffmpeg);
+    let about = probe(&mut command(), video)?;
     let rate = about.frames_per_second.min(f64::from(CANDIDATES * frames) / about.seconds);
-    let filters = [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&ffmpeg) } else { "" }].concat();
-    let mut command = Command::new(ffmpeg);
+    let filters = [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&mut command()) } else { "" }].concat();
+    let mut command = command();
     command.args(["-hide_banner", "-nostats", "-progress", "pipe:1", "-y", "-i"]).arg(video);
     command.args(["-vf", &filters, "-q:v", QUALITY]).arg(candidates.join("%06d.jpg"));
     let total = (rate * about.seconds).round().max(1.0) as u64;
@@ -75,10 +78,10 @@ pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path,
     write_text(&mark, "").map(|()| true)
 }
 
-fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {
-    let ran = Command::new(ffmpeg).args(["-hide_banner", "-i"]).arg(video).output();
+fn probe(ffmpeg: &mut Command, video: &Path) -> Result<Video> {
+    let ran = ffmpeg.args(["-hide_banner", "-i"]).arg(video).output();
     // It complains that nothing is to be written; what it has found out comes before.
-    let ran = ran.map_err(|error| anyhow!("cannot start {}: {error}", shown(ffmpeg)))?;
+    let ran = ran.map_err(|error| anyhow!("cannot start {}: {error}", shown(ffmpeg.get_program())))?;
     let said = String::from_utf8_lossy(&ran.stderr);
     parse(&said).ok_or_else(|| {
         let problem = "of which ffmpeg cannot tell length and frame rate; convert it to MP4";
@@ -87,8 +90,8 @@ fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {
 }
 
 /// What follows other filters for a video in HDR: nothing, and a notice, where this ffmpeg lacks what it takes.
-fn from_hdr(ffmpeg: &Path) -> &'static str {
-    let ran = Command::new(ffmpeg).args(["-hide_banner", "-filters"]).output();
+fn from_hdr(ffmpeg: &mut Command) -> &'static str {
+    let ran = ffmpeg.args(["-hide_banner", "-filters"]).output();
     if ran.is_ok_and(|ran| String::from_utf8_lossy(&ran.stdout).contains(" zscale ")) {
         return FROM_HDR;
     }

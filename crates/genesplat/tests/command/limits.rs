@@ -9,7 +9,8 @@ use std::process::Output;
 use genesplat::gallery::{self, GalleryOptions};
 
 use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
-use crate::support::{command, json, judge_failure, limited, number, scene, succeed, train};
+use crate::poses::{pretended_python, said};
+use crate::support::{command, json, judge_failure, limited, number, scene, succeed, text, train};
 
 fn under(limits: &str, arguments: &[String]) -> Output {
     limited(limits, &command(arguments)).output().unwrap()
@@ -118,4 +119,30 @@ fn a_thread_that_cannot_be_started_is_a_sentence() {
     let mut run = limited("-v 1100000", &command(&arguments));
     let output = run.env("RUST_MIN_STACK", (300 << 20).to_string()).env("MALLOC_ARENA_MAX", "1").output().unwrap();
     judge_failure(output, &["cannot start 1000 threads", "fewer --threads"]);
+}
+
+/// The same of the threads that listen to a program: with stacks of 300 MiB, and room for one more of them each time.
+#[test]
+fn a_thread_that_cannot_listen_to_a_program_is_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let python = pretended_python(place.path(), ":");
+    let (photos, found) = (scene().join("images"), place.path().join("scene"));
+    let (mut deaf, mut done) = (0, 0);
+    for stacks in 1..12 {
+        let poses = command(["poses", text(&photos), "--out", text(&found), "--threads", "1"]);
+        let mut poses = limited(&format!("-v {}", 150_000 + 310_000 * stacks), &poses);
+        poses
+            .env("RUST_MIN_STACK", (300 << 20).to_string())
+            .env("MALLOC_ARENA_MAX", "1")
+            .env("GENESPLAT_PYTHON", &python);
+        let output = poses.output().unwrap();
+        match output.status.code() {
+            Some(0) => done += 1,
+            _ => {
+                deaf += usize::from(said(&output).contains("cannot start a thread that listens to"));
+                judge_failure(output, &["cannot", "thread"]);
+            }
+        }
+    }
+    assert!(deaf >= 1 && done >= 1, "{deaf} could not listen, {done} came to their end");
 }

@@ -18,6 +18,8 @@ mod mistakes;
 mod overwrite;
 mod peer;
 mod photos;
+#[cfg(unix)]
+mod planted;
 mod poses;
 mod real_scene;
 mod resume;

@@ -27,7 +27,7 @@ fn with_python(python: &Path, arguments: &[&str]) -> Output {
     command(arguments).env("GENESPLAT_PYTHON", python).output().unwrap()
 }
 
-fn said(output: &Output) -> String {
+pub(crate) fn said(output: &Output) -> String {
     [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat()
 }
 
@@ -170,7 +170,7 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
 
 /// Stands for a Python with pycolmap: it finds the cameras that the gallery has, and does `before_matching` where others match.
 #[cfg(unix)]
-fn pretended_python(folder: &Path, before_matching: &str) -> PathBuf {
+pub(crate) fn pretended_python(folder: &Path, before_matching: &str) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
 
     let (python, model) = (folder.join("python"), scene().join("sparse/0"));
