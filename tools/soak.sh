@@ -16,9 +16,9 @@ mkdir -p "$folder"
 cat >"$folder/soak.toml" <<TOML
 title = "Soak"
 scenes = ["gallery"]
-variants = ["3dgs", "mip-splatting", "mcmc"]
+methods = ["genesplat", "mip-splatting", "mcmc"]
 seeds = [$(seq -s, 0 1999)]
-evolve = ["renew"]
+search = ["off"]
 
 [gallery]
 width = 128
@@ -27,9 +27,8 @@ views = 24
 points = 1500
 
 [config]
-steps_scale = 0.05
+iterations = 1500
 max_gaussians = 6000
-densify.every = 1000
 TOML
 
 "$binary" experiment "$folder/soak.toml" --out "$folder/runs" --device cpu --threads 1 --no-lpips \

@@ -32,11 +32,7 @@ pub const THREADS: RangeInclusive<i64> = 1..=1024;
 /// Keys of earlier versions, and what stands for them.
 const OLD_KEYS: [(&str, &str); 6] = [
     ("variant", "the method is a table of its own, as in `[method] name = \"mcmc\"`"),
-    (
-        "evolution",
-        "mode renew is the method `name = \"genesplat\"` in [method], mode paper is a table [genetic] with the settings of \
-         [evolution.paper], and mode off is any other method",
-    ),
+    ("evolution", "renew is `name = \"genesplat\"` in [method], paper is the table [genetic], off is any other method"),
     ("densify", "its settings are those of the method, in [method] (docs/settings.md)"),
     ("optimiser", "rates are settings of the method, in [method] (docs/settings.md)"),
     ("mcmc", "its settings are those of the method, in [method] (docs/settings.md)"),

@@ -7,6 +7,7 @@ mod convert;
 mod determinism;
 mod disk;
 mod foreign_folders;
+mod golden;
 mod hostile;
 mod inputs;
 mod inspect;
