@@ -230,7 +230,7 @@ fn who_looks_at_a_splat_hears_that_its_photos_are_others_now() {
     succeed(train(&scene, &out, &["--iterations", "3", "--no-lpips"]));
     let commands: [&[&str]; 4] = [
         &["evaluate", text(&out), "--no-lpips"],
-        &["render", text(&out), "--out", text(&pictures)],
+        &["render", text(&out), "--split", "all", "--out", text(&pictures)],
         &["refine", text(&out), "--iterations", "1", "--evolve", "off", "--out", text(&refined)],
         &["convert", text(&out), "--data", text(&scene), "--out", text(&refined)],
     ];
