@@ -102,8 +102,8 @@ fn values() -> Vec<Vec<u8>> {
     ]
 }
 
-const CONFIG: &str = "seed = 3\nvariant = \"mcmc\"\niterations = 700\nsteps_scale = 0.5\nbackground = \"random\"\n\
-    [evolution]\nmode = \"paper\"\ntrigger = \"after-densify\"\n[densify]\nevery = 100\n";
+const CONFIG: &str = "seed = 3\niterations = 700\nsteps_scale = 0.5\nbackground = \"random\"\n\
+    [method]\nname = \"pixel-gs\"\ndensify_every = 100\n[genetic]\ngenerations = 3\n";
 
 fn cloud(rows: usize) -> Gaussians {
     let rng = Rng::new(1);
@@ -206,13 +206,12 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
         moments: Moments::zeros(rows),
         statistics: Statistics { gradient_sum: vec![0.0; rows], weight_sum: vec![0.0; rows], ..Statistics::default() },
         mean: StateMean::default(),
-        snapshot: None,
     };
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
     let virtual_pictures = vec![Photo { width: 2, height: 1, rgb: (0..6).collect() }.into(); rows];
     let mut bytes = Vec::new();
     let origin = String::from("seed = 7");
-    let checkpoint = Checkpoint { origin, cursor, progress, state, trial: None, virtual_pictures };
+    let checkpoint = Checkpoint { origin, cursor, progress, state, virtual_pictures };
     checkpoint.write(&mut bytes).expect("memory takes it");
     bytes
 }

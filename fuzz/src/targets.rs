@@ -158,10 +158,10 @@ fn config(bytes: &[u8]) {
     assert_eq!(again, config);
     let last = schedule.iterations;
     for i in [1, 500.min(last), last.div_ceil(2), last.saturating_sub(1).max(1), last] {
-        let phases = schedule.phases(i).count();
-        assert!(phases > 0 && schedule.sh_degree(i) <= 3 && schedule.grown(i).is_finite());
+        let events = schedule.timeline().at(i).count();
+        assert!(events > 0 && schedule.sh_degree(i) <= 3);
         schedule.rates(1.0, i);
-        schedule.optimiser_step(i);
+        schedule.timeline().optimiser_step(i);
     }
 }
 

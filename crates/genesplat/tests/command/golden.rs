@@ -115,7 +115,7 @@ fn mask_a_corner(scene: &std::path::Path) {
     let (width, height) = (64, 48);
     let shown = |i: usize| if i % width < width / 2 && i / width < height / 2 { 0 } else { 255 };
     let rgb = (0..width * height).flat_map(|i| [shown(i); 3]).collect();
-    let mask = Photo { width, height, rgb };
+    let mask = Photo { width: 64, height: 48, rgb };
     std::fs::create_dir(scene.join("masks")).unwrap();
     for photo in std::fs::read_dir(scene.join("images")).unwrap() {
         let name = photo.unwrap().file_name();
