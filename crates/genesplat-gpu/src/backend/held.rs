@@ -73,7 +73,8 @@ impl GpuBackend {
         Self::on(if is_right { engine } else { engine.without_subgroups() })
     }
 
-    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu` compares with.
+    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu`
+    /// compares with.
     pub fn without_subgroups() -> Result<Self> {
         Self::on(Engine::new()?.without_subgroups())
     }
@@ -159,8 +160,8 @@ impl GpuBackend {
         Ok(self.allocated_bytes() < before)
     }
 
-    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all are
-    /// submitted once more. Returns the first values of a buffer that the views fill, if one is named.
+    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all
+    /// are submitted once more. Returns the first values of a buffer that the views fill, if one is named.
     pub(crate) fn until_lists_fit<T: Pod>(
         &mut self,
         whose: ListsOf,

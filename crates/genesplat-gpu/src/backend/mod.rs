@@ -1,7 +1,8 @@
 //! [`Renderer`] and [`Device`] for a graphics device: every verb, and what it is made of.
 //!
-//! Calls go one way: from the verbs here to the queue of steps and to what asks several views at once, from these to what is
-//! held ([`held`]), and from there to stages, state and device, none of which knows the backend.
+//! Calls go one way: from the verbs here to the queue of steps and to what asks several views at once, from
+//! these to what is held ([`held`]), and from there to stages, state and device, none of which knows the
+//! backend.
 
 mod blending_weights;
 pub(crate) mod held;
