@@ -43,6 +43,11 @@ impl TrainView {
         Ok(Self { camera: view.camera, photo, source: (view.photo.clone(), view.mask.clone()), counted })
     }
 
+    /// The same photo, of another camera.
+    pub(super) fn seen_by(&self, camera: Camera) -> Self {
+        Self { camera, ..self.clone() }
+    }
+
     pub(super) fn is_packed_from(&self, view: &View) -> bool {
         let (photo, mask) = &self.source;
         photo.is_same(&view.photo) && mask.as_ref().map(Arc::as_ptr) == view.mask.as_ref().map(Arc::as_ptr)

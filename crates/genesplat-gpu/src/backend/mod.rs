@@ -53,7 +53,7 @@ impl Device for GpuBackend {
     fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
             let train_view = |(index, view): (usize, &View)| match gpu.views.get(index) {
-                Some(old) if old.is_packed_from(view) => Ok(TrainView { camera: view.camera, ..old.clone() }),
+                Some(old) if old.is_packed_from(view) => Ok(old.seen_by(view.camera)),
                 _ => TrainView::upload(&gpu.engine, view),
             };
             gpu.views = views.iter().enumerate().map(train_view).collect::<Result<_>>()?;
