@@ -30,10 +30,11 @@ use crate::wire::{Reader, Writer, reserve};
 /// | `score` | the cloud, to all, until it changes otherwise than by an `edit` of genes; then losses, as views are dealt out |
 /// | all others | nothing but errors |
 ///
-/// `upload`, `state` and `download` take and give the own share of the rows ([`Group::share`]), so that no rank ever holds all.
+/// `upload`, `state` and `download` take and give the own share of the rows ([`Group::share`]), so that no
+/// rank ever holds all.
 ///
-/// An error of one rank is one of all. The verbs that hand out the cloud fail where it is not finite, and where a rank has no
-/// room for a copy of its share.
+/// An error of one rank is one of all. The verbs that hand out the cloud fail where it is not finite, and
+/// where a rank has no room for a copy of its share.
 pub struct ClusterBackend {
     pub(crate) group: Group,
     /// Holds the own rows, and all photos.
@@ -84,7 +85,8 @@ impl ClusterBackend {
         Share { first_row: self.own_rows().start, all_rows: self.shares.rows() }
     }
 
-    /// Splats of the cloud, or of the mean, go to the bands, which draw them. No other rank knows yet of an error of that.
+    /// Splats of the cloud, or of the mean, go to the bands, which draw them. No other rank knows yet of an
+    /// error of that.
     pub(crate) fn draw_view(
         &mut self,
         canvas: &Canvas,
@@ -141,8 +143,8 @@ impl ClusterBackend {
         self.own.discard_queued_steps().map(drop)
     }
 
-    /// A rank that has no room for a step stops it on all, when some columns that begin with it have grown on others. Those that
-    /// any rank lacks are zeros, since no step has added to them, and no columns.
+    /// A rank that has no room for a step stops it on all, when some columns that begin with it have grown on
+    /// others. Those that any rank lacks are zeros, since no step has added to them, and no columns.
     fn drop_columns_of_some(&mut self, state: &mut DeviceState) -> Result<(), BackendError> {
         let DeviceState { statistics, moments, .. } = state;
         let (rows, mut out) = (self.own_rows().len(), Writer::default());
@@ -281,7 +283,8 @@ impl Device for ClusterBackend {
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         let done = self.own.set_views(views);
         self.group.agree(done)?;
-        // Loads that were measured before stay: where only pictures have changed they are right, and any cut gives the same bytes.
+        // Loads that were measured before stay: where only pictures have changed they are right, and any cut
+        // gives the same bytes.
         self.loads.resize(views.len(), Vec::new());
         for (view, load) in self.loads.iter_mut().enumerate() {
             if load.len() != self.own.view(view).0.grid()[1] {

@@ -19,13 +19,13 @@ mod bands;
 mod drawing;
 mod gradients;
 mod group;
-mod looks;
 mod picture;
 mod ranks;
 mod rows;
 mod shares;
 mod splats;
 mod steps;
+mod views;
 mod wire;
 
 #[cfg(test)]

@@ -86,8 +86,8 @@ pub enum Edit<'a> {
     Rows(&'a RowEdit),
     /// Overwrites the genes of the rows that are named; moments and the mean stay.
     Genes(&'a SparseDelta),
-    /// `opacity ← min(opacity, ceiling)`, with a 3D filter that of the *filtered* opacity; opacity moments are zeroed,
-    /// the mean emptied.
+    /// `opacity ← min(opacity, ceiling)`, with a 3D filter that of the *filtered* opacity; opacity moments
+    /// are zeroed, the mean emptied.
     OpacityCeiling(f32),
     /// Replaces the 3D filter of Mip-Splatting `[N]`.
     Filter3d(Vec<f32>),
@@ -112,11 +112,11 @@ pub trait Renderer {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError>;
 }
 
-/// A device that trains the cloud it holds: it has the training views, the optimiser's moments, sums of the steps, and the
-/// mean of recent states.
+/// A device that trains the cloud it holds: it has the training views, the optimiser's moments, sums of the
+/// steps, and the mean of recent states.
 ///
-/// Steps may wait in a queue, so it may be a later verb that fails; [`Device::discard_queued_steps`] tells how many steps
-/// were not done.
+/// Steps may wait in a queue, so it may be a later verb that fails; [`Device::discard_queued_steps`] tells
+/// how many steps were not done.
 pub trait Device: Renderer {
     /// Replaces the training views, also between steps.
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError>;
@@ -140,7 +140,8 @@ pub trait Device: Renderer {
     /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 
-    /// No step comes after this: may free the optimiser's moments and the mean, which are those of a new cloud then.
+    /// No step comes after this: may free the optimiser's moments and the mean, which are those of a new
+    /// cloud then.
     fn end_training(&mut self) -> Result<(), BackendError>;
 
     /// Sums over training steps `[N]`.
@@ -165,9 +166,10 @@ pub trait Device: Renderer {
         settings: &RenderSettings,
     ) -> Result<Vec<ViewLoss>, BackendError>;
 
-    /// Sums of each Gaussian's blending weights over all pixels of training views, hidden ones, too, each times that pixel's
-    /// value in the map of that view `[H, W]`; of each view `[N]`. Holds all of them at once. `map_of` makes a map when its
-    /// view's turn comes, so that a device can work on the view before it, and once more if that view is repeated.
+    /// Sums of each Gaussian's blending weights over all pixels of training views, hidden ones, too, each
+    /// times that pixel's value in the map of that view `[H, W]`; of each view `[N]`. Holds all of them at
+    /// once. `map_of` makes a map when its view's turn comes, so that a device can work on the view before
+    /// it, and once more if that view is repeated.
     fn blending_weights(
         &mut self,
         views: &[usize],

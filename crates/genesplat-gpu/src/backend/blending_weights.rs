@@ -1,5 +1,5 @@
-//! Stage `blending_weights`: how much of each pixel every Gaussian is, times a map. As on the CPU, the backward blending sums
-//! it, with the map in the place of the gradient of the image's red.
+//! Stage `blending_weights`: how much of each pixel every Gaussian is, times a map. As on the CPU, the
+//! backward blending sums it, with the map in the place of the gradient of the image's red.
 //!
 //! Views follow each other without a wait, and the host reads all sums at once.
 
@@ -24,8 +24,8 @@ impl Sums<'_> {
 }
 
 impl GpuBackend {
-    /// Blending weights times the map of each view, summed over that view `[V][N]`. Maps are made while the device works on
-    /// the views before.
+    /// Blending weights times the map of each view, summed over that view `[V][N]`. Maps are made while the
+    /// device works on the views before.
     pub(crate) fn weights_by(
         &mut self,
         views: &[usize],

@@ -31,7 +31,7 @@ pub(crate) struct TrainView {
     pub(crate) camera: Camera,
     pub(crate) photo: Rc<Memory>,
     /// What `photo` was packed from.
-    pub(super) source: (StoredPhoto, Option<Arc<Mask>>),
+    source: (StoredPhoto, Option<Arc<Mask>>),
     /// Its pixels that count, and all of them; `None` where these are the same.
     pub(crate) counted: Option<[usize; 2]>,
 }
@@ -41,6 +41,11 @@ impl TrainView {
         let photo = engine.upload("a photo", &pack_photo(&*view.photo.read()?, view.mask.as_deref()))?.into();
         let counted = view.mask.as_ref().map(|mask| [mask.counted(), mask.counts.len()]);
         Ok(Self { camera: view.camera, photo, source: (view.photo.clone(), view.mask.clone()), counted })
+    }
+
+    /// The same photo, of another camera.
+    pub(super) fn seen_by(&self, camera: Camera) -> Self {
+        Self { camera, ..self.clone() }
     }
 
     pub(super) fn is_packed_from(&self, view: &View) -> bool {
@@ -73,7 +78,8 @@ impl GpuBackend {
         Self::on(if is_right { engine } else { engine.without_subgroups() })
     }
 
-    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu` compares with.
+    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu`
+    /// compares with.
     pub fn without_subgroups() -> Result<Self> {
         Self::on(Engine::new()?.without_subgroups())
     }
@@ -159,8 +165,8 @@ impl GpuBackend {
         Ok(self.allocated_bytes() < before)
     }
 
-    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all are
-    /// submitted once more. Returns the first values of a buffer that the views fill, if one is named.
+    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all
+    /// are submitted once more. Returns the first values of a buffer that the views fill, if one is named.
     pub(crate) fn until_lists_fit<T: Pod>(
         &mut self,
         whose: ListsOf,

@@ -1,7 +1,8 @@
 //! [`Renderer`] and [`Device`] for a graphics device: every verb, and what it is made of.
 //!
-//! Calls go one way: from the verbs here to the queue of steps and to what asks several views at once, from these to what is
-//! held ([`held`]), and from there to stages, state and device, none of which knows the backend.
+//! Calls go one way: from the verbs here to the queue of steps and to what asks several views at once, from
+//! these to what is held ([`held`]), and from there to stages, state and device, none of which knows the
+//! backend.
 
 mod blending_weights;
 pub(crate) mod held;
@@ -52,7 +53,7 @@ impl Device for GpuBackend {
     fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
             let train_view = |(index, view): (usize, &View)| match gpu.views.get(index) {
-                Some(old) if old.is_packed_from(view) => Ok(TrainView { camera: view.camera, ..old.clone() }),
+                Some(old) if old.is_packed_from(view) => Ok(old.seen_by(view.camera)),
                 _ => TrainView::upload(&gpu.engine, view),
             };
             gpu.views = views.iter().enumerate().map(train_view).collect::<Result<_>>()?;

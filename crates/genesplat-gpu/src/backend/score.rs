@@ -1,4 +1,5 @@
-//! Scores of a population: pools of individuals, as large as the device has memory for, on one view after the other.
+//! Scores of a population: pools of individuals, as large as the device has memory for, on one view after the
+//! other.
 
 use genesplat_core::row_versions::Holders;
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
@@ -62,7 +63,8 @@ impl GpuBackend {
         self.score_pool(second, views, settings, losses)
     }
 
-    /// Losses `[P, V]` of some individuals, if their row versions can be seen at once; those of one always can.
+    /// Losses `[P, V]` of some individuals, if their row versions can be seen at once; those of one always
+    /// can.
     fn losses_of_pool(
         &mut self,
         individuals: &[SparseDelta],

@@ -19,8 +19,8 @@ impl GpuBackend {
         self.timestamps = None;
     }
 
-    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes); none
-    /// unless they are timed.
+    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64
+    /// passes); none unless they are timed.
     pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>> {
         self.finish_queued_steps()?;
         let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
@@ -29,8 +29,9 @@ impl GpuBackend {
         Ok(seconds)
     }
 
-    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again:
-    /// by the host's clock, many copies less a few, so without what it takes to submit and to wait.
+    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again
+    /// and again: by the host's clock, many copies less a few, so without what it takes to submit and to
+    /// wait.
     pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64> {
         const COPIES: [u32; 2] = [16, 80];
         self.finish_queued_steps()?;

@@ -62,7 +62,8 @@ impl CpuBackend {
         std::mem::take(&mut self.buffers.seconds)
     }
 
-    /// Most bytes that scoring has taken since the last step, besides the cloud, the photos and the individuals.
+    /// Most bytes that scoring has taken since the last step, besides the cloud, the photos and the
+    /// individuals.
     pub fn scoring_bytes(&self) -> usize {
         self.scorer.bytes()
     }

@@ -1,7 +1,7 @@
 //! Stage `blending_weights`: how much of each pixel every Gaussian is, times a map.
 //!
-//! The backward blending sums `α·T · dL/dpixel` for every splat and channel. With the map in the place of the gradient of
-//! the image's red, it sums in that of a splat's red what is wanted.
+//! The backward blending sums `α·T · dL/dpixel` for every splat and channel. With the map in the place of the
+//! gradient of the image's red, it sums in that of a splat's red what is wanted.
 
 use fearless_simd::Level;
 use genesplat_core::{Gaussians, RenderSettings};
@@ -12,7 +12,8 @@ use super::rasterise_backward::rasterise_backward;
 use crate::cpu::update::{ByTile, SplatGradients};
 use crate::cpu::view::{Band, CHUNK, Pinhole, Splats, ViewBuffers};
 
-/// Blending weights times the values of `map` `[H, W]`, summed over the pixels of one view, of each Gaussian `[N]`.
+/// Blending weights times the values of `map` `[H, W]`, summed over the pixels of one view, of each Gaussian
+/// `[N]`.
 pub(crate) fn blending_weights(
     level: Level,
     buffers: &mut ViewBuffers,

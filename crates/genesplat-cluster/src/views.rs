@@ -1,5 +1,5 @@
-//! What searches and densification ask of views, drawn by all ranks together: losses, weights by a map, and a copy of the whole
-//! cloud to score populations with.
+//! What searches and densification ask of views, drawn by all ranks together: losses, weights by a map, and a
+//! copy of the whole cloud to score populations with.
 
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{BackendError, Gaussians, Held, RenderSettings, ViewLoss};
@@ -10,7 +10,8 @@ use crate::drawing::Drawing;
 use crate::wire::{Reader, Writer};
 
 impl ClusterBackend {
-    /// Draws a training view with a map in the place of the image's gradient; leaves the sums of the own splats.
+    /// Draws a training view with a map in the place of the image's gradient; leaves the sums of the own
+    /// splats.
     pub(crate) fn sum_map(
         &mut self,
         view: usize,
