@@ -3,7 +3,6 @@
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Device, Gaussians, StatisticsRequest, View};
-use genesplat_evolve::GeneticConfig;
 
 use super::GeneticSearch;
 use crate::optimiser_step::OptimiserStep;
@@ -29,7 +28,8 @@ pub fn search(
     let mut trainer = Trainer::new(backend, views, schedule, observer, stop)?;
     trainer.begin(Start::Cloud(cloud))?;
     let last = schedule.finished_iteration();
-    if schedule.config().genetic.as_ref().is_some_and(GeneticConfig::uses_gradients) {
+    let settings = schedule.config().genetic.clone().unwrap_or_default();
+    if settings.uses_gradients() {
         let genes = StatisticsRequest { density: None, genes: true };
         for view in 0..views.len() {
             trainer.train_step(view, last, 0, OptimiserStep::Lost, genes)?;
