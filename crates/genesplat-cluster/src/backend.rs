@@ -1,4 +1,4 @@
-//! [`Backend`] over ranks.
+//! [`Renderer`] and [`Device`] over ranks.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -6,15 +6,15 @@ use std::ops::Range;
 use genesplat_core::backend::StepReport;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    Backend, BackendError, Camera, DeviceState, Gaussians, Genes, Held, Image, RenderSettings, RowEdit, RowOwners,
-    Statistics, TrainStep, View,
+    BackendError, Camera, Device, DeviceState, Edit, Gaussians, Genes, Held, Image, RenderSettings, Renderer,
+    RowOwners, SparseDelta, Statistics, TrainStep, Upload, View, ViewLoss,
 };
-use genesplat_kernels::cpu::stages::Share;
+use genesplat_kernels::cpu::stages::{Share, weights_of};
 use genesplat_kernels::cpu::{CpuBackend, Pinhole};
 
 use crate::drawing::{Canvas, Drawing};
 use crate::group::Group;
-use crate::shares::Shares;
+use crate::shares::{Shares, places_in};
 use crate::splats::Dealt;
 use crate::steps::Task;
 use crate::wire::{Reader, Writer, reserve};
@@ -24,16 +24,16 @@ use crate::wire::{Reader, Writer, reserve};
 /// | verb | what is exchanged |
 /// |---|---|
 /// | `train_step` | splats, rows of the picture, sums of gradients; with several views a step, of as many views as ranks at once |
-/// | `render`, `contributions`, `weigh`, `measure` | the same, as far as they need it |
-/// | `statistics`, `genes`, `contributions`, `weigh` | columns, to all: what is decided by them is decided by every rank |
-/// | `edit_rows`, `edit_rows_on_trial` | the rows that new ones are made of, to their new owners |
-/// | `roll_back` | how many rows each has |
-/// | `score` | the cloud, to all, until it changes otherwise than by `apply`; then losses, as views are dealt out |
+/// | `render`, `blending_weights`, `measure` | the same, as far as they need it |
+/// | `statistics`, `genes`, `blending_weights` | columns, to all: what is decided by them is decided by every rank |
+/// | `edit` of rows | those that new ones are made of, to their new owners |
+/// | `score` | the cloud, to all, until it changes otherwise than by an `edit` of genes; then losses, as views are dealt out |
 /// | all others | nothing but errors |
 ///
-/// `upload`, `state`, `download` and `copy` take and give the own share of the rows ([`Group::share`]), so that no rank ever holds all.
+/// `upload`, `state` and `download` take and give the own share of the rows ([`Group::share`]), so that no rank ever holds all.
 ///
-/// An error of one rank is one of all. The verbs that hand out the cloud fail where it is not finite.
+/// An error of one rank is one of all. The verbs that hand out the cloud fail where it is not finite, and where a rank has no
+/// room for a copy of its share.
 pub struct ClusterBackend {
     pub(crate) group: Group,
     /// Holds the own rows, and all photos.
@@ -146,18 +146,15 @@ impl ClusterBackend {
     fn drop_columns_of_some(&mut self, state: &mut DeviceState) -> Result<(), BackendError> {
         let DeviceState { statistics, moments, .. } = state;
         let (rows, mut out) = (self.own_rows().len(), Writer::default());
-        for column in [statistics.absolute_sum.len(), statistics.gene_views.len(), moments.pending.len()] {
+        for column in [statistics.gene_views.len(), moments.pending.len()] {
             out.count((column == rows).into());
         }
-        let [mut absolute, mut genes, mut pending] = [true; 3];
+        let [mut genes, mut pending] = [true; 2];
         for part in self.group.gather(Ok(out.words))? {
             let mut input = Reader::new(&part);
-            for everywhere in [&mut absolute, &mut genes, &mut pending] {
+            for everywhere in [&mut genes, &mut pending] {
                 *everywhere &= input.count() == 1;
             }
-        }
-        if !absolute {
-            statistics.absolute_sum.clear();
         }
         if !genes {
             statistics.gene_gradient_sum.clear();
@@ -178,10 +175,52 @@ impl ClusterBackend {
         Ok(())
     }
 
-    /// The own rows, where every rank has room for its own.
-    pub(crate) fn copy_if(&mut self, room: Result<(), BackendError>) -> Result<Gaussians, BackendError> {
+    /// The own rows, lent where every rank has room for a copy of its own.
+    pub(crate) fn lend_if(&mut self, room: Result<(), BackendError>) -> Result<&Gaussians, BackendError> {
         self.group.agree(room)?;
-        Ok(self.download()?.into_owned())
+        Ok(self.own.cloud())
+    }
+
+    /// What is held is about to be handed out.
+    fn finish_steps(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.check_finite()?;
+        self.free()
+    }
+
+    /// Takes the own share of what is given, a whole cloud or what each rank has of it.
+    fn share_of(&mut self, upload: Upload<'_>) -> Result<DeviceState, BackendError> {
+        let state = match upload {
+            Upload::State(state) => *state,
+            Upload::Rows { count, part } => {
+                self.begin_upload(count)?;
+                return Ok(part(self.own_rows()).into());
+            }
+        };
+        let counts = self.group.counts(state.cloud.len())?;
+        let rows = counts.iter().sum();
+        if !Shares::new(rows, counts.len()).all().map(|share| share.len()).eq(counts) {
+            return Err(BackendError::Unsupported("each rank uploads its own share of the rows".into()));
+        }
+        self.begin_upload(rows)?;
+        Ok(state)
+    }
+
+    /// Changes what the own share is told to; of genes, the copy of the whole cloud, too.
+    fn edit_own(&mut self, edit: Edit<'_>) -> Result<(), BackendError> {
+        let share = self.own_rows();
+        let done = match edit {
+            Edit::Rows(edit) => return self.move_rows(edit),
+            Edit::Genes(delta) => {
+                if let Some(whole) = &mut self.whole {
+                    whole.apply(delta);
+                }
+                self.own.edit(Edit::Genes(&own_part(delta, share)))
+            }
+            Edit::Filter3d(filter) => self.own.edit(Edit::Filter3d(filter[share].to_vec())),
+            Edit::OpacityCeiling(_) | Edit::ForgetGeneGradients => self.own.edit(edit),
+        };
+        self.group.agree(done)
     }
 
     /// The whole cloud, to all.
@@ -204,10 +243,17 @@ impl ClusterBackend {
 /// Rows that are sent at once where all of them are.
 const PIECE: usize = 1 << 15;
 
+/// The genes of the rows of a share, counted from its first one.
+fn own_part(delta: &SparseDelta, share: Range<usize>) -> SparseDelta {
+    let places = places_in(&delta.rows, &share);
+    let rows = delta.rows[places.clone()].iter().map(|&row| row - share.start as u32).collect();
+    SparseDelta { rows, genes: delta.genes[places].to_vec() }
+}
+
 /// As [`Gaussians::first_non_finite`] names them, in its order.
 const PARAMETERS: [&str; 5] = ["position", "log-scale", "rotation", "opacity", "colour"];
 
-impl Backend for ClusterBackend {
+impl Renderer for ClusterBackend {
     fn describe(&self) -> String {
         format!("{}; {} ranks", self.own.describe(), self.group.count())
     }
@@ -216,6 +262,22 @@ impl Backend for ClusterBackend {
         self.shares.rows()
     }
 
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        self.finish_steps()?;
+        let room = self.own.ensure_cloud("the result");
+        self.lend_if(room).map(Cow::Borrowed)
+    }
+
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
+        self.settle()?;
+        let canvas = Canvas::of_all(Pinhole::from(camera), &[], &self.group);
+        let (_, drawn) = self.draw_view(&canvas, settings, Held::Cloud)?;
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;
+        Ok(self.drawing.whole(&canvas, &parts))
+    }
+}
+
+impl Device for ClusterBackend {
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         let done = self.own.set_views(views);
         self.group.agree(done)?;
@@ -229,27 +291,14 @@ impl Backend for ClusterBackend {
         Ok(())
     }
 
-    fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
-        let counts = self.group.counts(state.cloud.len())?;
-        let rows = counts.iter().sum();
-        if !Shares::new(rows, counts.len()).all().map(|share| share.len()).eq(counts) {
-            return Err(BackendError::Unsupported("each rank uploads its own share of the rows".into()));
-        }
-        self.begin_upload(rows)?;
-        self.own.put_state(state);
-        Ok(())
-    }
-
-    fn upload_rows(&mut self, rows: usize, part: &dyn Fn(Range<usize>) -> Gaussians) -> Result<(), BackendError> {
-        self.begin_upload(rows)?;
-        self.own.put_state(part(self.own_rows()).into());
+    fn upload(&mut self, upload: Upload<'_>) -> Result<(), BackendError> {
+        let own = self.share_of(upload)?;
+        self.own.put_state(own);
         Ok(())
     }
 
     fn state(&mut self) -> Result<DeviceState, BackendError> {
-        self.settle()?;
-        self.check_finite()?;
-        self.free()?;
+        self.finish_steps()?;
         let (mut state, failed) = match self.own.state() {
             Ok(state) => (state, Ok(())),
             Err(error) => (DeviceState::default(), Err(error)),
@@ -259,30 +308,10 @@ impl Backend for ClusterBackend {
         Ok(state)
     }
 
-    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        self.settle()?;
-        self.check_finite()?;
-        self.free()?;
-        Ok(Cow::Borrowed(self.own.cloud()))
-    }
-
-    fn copy(&mut self) -> Result<Gaussians, BackendError> {
-        let room = self.own.ensure_cloud("the result");
-        self.copy_if(room)
-    }
-
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
         self.settle()?;
         let genes = self.own.cloud().all_genes();
         self.gather(&genes)
-    }
-
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        self.settle()?;
-        let canvas = Canvas::of_all(Pinhole::from(camera), &[], &self.group);
-        let (_, drawn) = self.draw_view(&canvas, settings, Held::Cloud)?;
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;
-        Ok(self.drawing.whole(&canvas, &parts))
     }
 
     /// Steps whose gradients wait for another are made with it: whole views are dealt out then.
@@ -298,6 +327,11 @@ impl Backend for ClusterBackend {
         done
     }
 
+    fn report(&mut self) -> Result<StepReport, BackendError> {
+        self.settle()?;
+        Ok(self.report)
+    }
+
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
         let undone = std::mem::take(&mut self.queue).len();
         self.free()?;
@@ -308,11 +342,6 @@ impl Backend for ClusterBackend {
         self.settle()?;
         self.free()?;
         self.own.end_training()
-    }
-
-    fn report(&mut self) -> Result<StepReport, BackendError> {
-        self.settle()?;
-        Ok(self.report)
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
@@ -326,34 +355,86 @@ impl Backend for ClusterBackend {
         Ok(Statistics {
             gradient_sum: self.gather(&own.gradient_sum)?,
             weight_sum: self.gather(&own.weight_sum)?,
-            absolute_sum: self.gather(&own.absolute_sum)?,
             gene_gradient_sum: self.gather(&own.gene_gradient_sum)?,
             gene_views: self.gather(&own.gene_views)?,
         })
     }
 
-    fn clear_gene_gradients(&mut self) {
-        debug_assert!(self.queue.is_empty(), "sums are read before they are cleared");
-        self.own.clear_gene_gradients();
+    fn edit(&mut self, edit: Edit<'_>) -> Result<(), BackendError> {
+        self.settle()?;
+        if !matches!(edit, Edit::Genes(_) | Edit::ForgetGeneGradients) {
+            self.whole = None;
+        }
+        self.edit_own(edit)
     }
 
-    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+    /// Views are dealt out.
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
         self.settle()?;
-        self.whole = None;
-        self.move_rows(edit)
+        let (rank, ranks) = (self.group.rank(), self.group.count());
+        let of_rank = |rank: usize| views.iter().copied().skip(rank).step_by(ranks);
+        let own: Vec<usize> = of_rank(rank).collect();
+        let whole = self.take_whole()?;
+        let losses = self.own.score_on(&whole, population, (&own, views), settings);
+        self.whole = Some(whole);
+        let parts = self.group.gather(losses.map(|losses| losses.into_iter().map(f32::to_bits).collect()))?;
+        let loss = |individual: usize, place: usize| {
+            let (rank, of_rank) = (place % ranks, views.len().saturating_sub(place % ranks).div_ceil(ranks));
+            f32::from_bits(parts[rank][individual * of_rank + place / ranks])
+        };
+        Ok((0..population.len())
+            .flat_map(|individual| (0..views.len()).map(move |place| (individual, place)))
+            .map(|(individual, place)| loss(individual, place))
+            .collect())
     }
 
-    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+    fn measure(
+        &mut self,
+        held: Held,
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<ViewLoss>, BackendError> {
         self.settle()?;
-        self.whole = None;
-        let done = self.own.reset_opacity(ceiling);
+        views.iter().map(|&view| self.loss_of(held, view, settings)).collect()
+    }
+
+    fn blending_weights(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError> {
+        self.settle()?;
+        let all = views.len() * self.shares.rows() * size_of::<f32>();
+        self.group.agree(ensure_memory(all, "weights of views"))?;
+        let of_view = |&view: &usize| {
+            self.sum_map(view, map_of, settings)?;
+            let weights = weights_of(self.own.splats(), &self.drawing.gradients(), self.own.gaussian_count());
+            self.gather(&weights)
+        };
+        views.iter().map(of_view).collect()
+    }
+
+    fn add_to_mean(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.group.agree(self.own.ensure_cloud("a mean"))?;
+        let done = self.own.add_to_mean();
         self.group.agree(done)
     }
 
-    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+    fn take_mean(&mut self) -> Result<(), BackendError> {
         self.settle()?;
         self.whole = None;
-        let done = self.own.set_filter_3d(filter[self.own_rows()].to_vec());
+        let done = self.own.take_mean();
         self.group.agree(done)
+    }
+
+    fn drop_mean(&mut self) {
+        self.own.drop_mean();
     }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use genesplat_core::{BackendError, DensitySignal, Image, RenderSettings};
 use genesplat_kernels::cpu::stages::{
-    Band, LOSS_REACH, Level, SplatGradients, Splats, columns_of, loss_of_rows, ones_and_errors, squared_errors,
+    Band, LOSS_REACH, Level, SplatGradients, Splats, columns_of, loss_of_rows, squared_errors,
 };
 use genesplat_kernels::cpu::{Pinhole, Target, ViewBuffers};
 
@@ -153,15 +153,6 @@ impl Drawing {
         if with_gradient {
             target.hide_rows(&mut self.band.image_gradient, &rows);
         }
-    }
-
-    /// In the place of the loss's gradient: what finds how much splats contribute, and the errors where they are.
-    pub(crate) fn ones_and_errors(&mut self, canvas: &Canvas, target: &Target) -> Result<(), BackendError> {
-        let ViewBuffers { image, photo, image_gradient, .. } = &mut self.band;
-        let rows = canvas.band.pixel_rows();
-        photo.read(target, rows.clone())?;
-        ones_and_errors(image, (target, photo), rows, image_gradient);
-        Ok(())
     }
 
     /// In the place of the loss's gradient: a map `[H, W]` for red, and zeros.

@@ -17,9 +17,9 @@
 mod backend;
 mod bands;
 mod drawing;
-mod evolution;
 mod gradients;
 mod group;
+mod looks;
 mod picture;
 mod ranks;
 mod rows;

@@ -1,22 +1,16 @@
-//! All that the training algorithm knows of a device: one training step is one call, so that a GPU needs no read-back
-//! within it.
+//! What a device is told of views, renders and training steps, what it reports, and why it may fail.
 
 use std::borrow::Cow;
-use std::ops::Range;
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::camera::Camera;
 use crate::constants::{ADAM_BETA1, ADAM_BETA2, CLASSIC_DILATION, MIP_DILATION};
-use crate::edit::RowEdit;
-use crate::gaussians::{Gaussians, Moments};
-use crate::genes::{Genes, SparseDelta};
-use crate::image::{Image, Mask, Photo};
-use crate::memory::ensure_memory;
+use crate::gaussians::Gaussians;
+use crate::image::{Mask, Photo};
 use crate::rng::Rng;
-use crate::state_mean::{Held, StateMean, ViewLoss};
-use crate::statistics::{Contribution, Statistics, StatisticsRequest};
+use crate::statistics::StatisticsRequest;
 use crate::stored_photo::{PhotoLost, StoredPhoto};
 
 /// A camera and the photo it took; both have the same size.
@@ -147,7 +141,7 @@ pub struct TrainStep {
     pub settings: RenderSettings,
     /// The optimiser step; `None` computes gradients for the statistics only, or for a later step.
     pub update: Option<Update>,
-    /// Where there is no update: add the gradients to [`Moments::pending`], all of which the next optimiser step takes.
+    /// Where there is no update: add the gradients to [`Moments::pending`](crate::Moments::pending), all of which the next optimiser step takes.
     pub keeps_gradients: bool,
     /// What to accumulate.
     pub statistics: StatisticsRequest,
@@ -243,190 +237,4 @@ impl BackendError {
             None => Self::LossNotFinite { steps },
         }
     }
-}
-
-/// Adam's moments of rows that evolution changed. The paper is silent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum MomentPolicy {
-    /// Leave them.
-    #[default]
-    Keep,
-    /// Zero them for the changed rows.
-    Zero,
-}
-
-/// A cloud as it was, to go back to.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Snapshot {
-    /// The Gaussians `[N]`.
-    pub cloud: Gaussians,
-    /// Adam's moments `[N]`; empty for zeros.
-    pub moments: Moments,
-}
-
-/// Whoever rolls back has taken a snapshot.
-pub const NO_SNAPSHOT: &str = "there is a snapshot to go back to";
-
-/// All that a device holds of a run besides its views: what a checkpoint saves.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct DeviceState {
-    /// The Gaussians `[N]`.
-    pub cloud: Gaussians,
-    /// Adam's moments `[N]`; empty for zeros.
-    pub moments: Moments,
-    /// Sums for density control and evolution `[N]`; empty for zeros.
-    pub statistics: Statistics,
-    /// The mean of recent states.
-    pub mean: StateMean,
-    /// What [`EvolutionBackend::roll_back`] goes back to; its rows need not be as many.
-    pub snapshot: Option<Snapshot>,
-}
-
-impl From<Snapshot> for DeviceState {
-    /// What is left of a state that is gone back to.
-    fn from(Snapshot { cloud, moments }: Snapshot) -> Self {
-        Self { cloud, moments, ..Self::default() }
-    }
-}
-
-impl From<Gaussians> for DeviceState {
-    /// A cloud that no step has been made with.
-    fn from(cloud: Gaussians) -> Self {
-        Self { cloud, ..Self::default() }
-    }
-}
-
-/// A device that holds one cloud, its moments and the training views.
-///
-/// A verb that finds no memory ([`BackendError::is_out_of_memory`]) does nothing. Steps may wait in a queue, so it may be a
-/// later verb that fails; [`Backend::discard_queued_steps`] tells how many steps were not done.
-pub trait Backend {
-    /// In plain words, for the log.
-    fn describe(&self) -> String;
-
-    /// Number of Gaussians held, N.
-    fn gaussian_count(&self) -> usize;
-
-    /// Replaces the training views, also between steps.
-    fn set_views(&mut self, views: &[View]) -> Result<(), BackendError>;
-
-    /// Replaces all that is held but the views.
-    fn upload(&mut self, state: DeviceState) -> Result<(), BackendError>;
-
-    /// [`Backend::upload`] of a cloud of so many rows that no step has been made with; `part` makes some of them.
-    fn upload_rows(&mut self, rows: usize, part: &dyn Fn(Range<usize>) -> Gaussians) -> Result<(), BackendError> {
-        self.upload(part(0..rows).into())
-    }
-
-    /// A copy of all that is held but the views.
-    fn state(&mut self) -> Result<DeviceState, BackendError>;
-
-    /// The cloud: lent by a backend whose memory is the host's, copied by others.
-    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
-
-    /// A copy of the cloud for the host to keep.
-    fn copy(&mut self) -> Result<Gaussians, BackendError> {
-        ensure_memory(self.gaussian_count() * Gaussians::BYTES_PER_ROW, "the result")?;
-        Ok(self.download()?.into_owned())
-    }
-
-    /// The genes of all rows `[N]`, an eighth of what [`Backend::download`] copies.
-    fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
-        Ok(self.download()?.all_genes())
-    }
-
-    /// Renders the cloud as `camera` sees it.
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError>;
-
-    /// Render, loss, backward, statistics, Adam.
-    fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError>;
-
-    /// What the last [`Backend::train_step`] found; waits for it.
-    fn report(&mut self) -> Result<StepReport, BackendError>;
-
-    /// Where there was no memory: waits for the queued steps, drops those that cannot be done, the last ones,
-    /// and returns how many these are. Frees what can be made again, so that downloads fit.
-    fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
-
-    /// No step comes after this: may free the optimiser's moments, the snapshot's, too, and the mean. These are those of a
-    /// new cloud then.
-    fn end_training(&mut self) -> Result<(), BackendError> {
-        Ok(())
-    }
-
-    /// Sums over training steps `[N]`.
-    fn statistics(&mut self) -> Result<Statistics, BackendError>;
-
-    /// Forgets the gene columns; density columns stay.
-    fn clear_gene_gradients(&mut self);
-
-    /// Applies a plan of density control; density columns are zeroed, the mean emptied.
-    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
-
-    /// `opacity ← min(opacity, ceiling)`, with a 3D filter that of the *filtered* opacity; opacity moments are zeroed,
-    /// the mean emptied.
-    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError>;
-
-    /// Replaces the 3D filter of Mip-Splatting `[N]`.
-    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError>;
-}
-
-/// What evolution asks of a device besides training, and, with or without evolution, the density control of Improved-GS
-/// ([`EvolutionBackend::weigh`]).
-pub trait EvolutionBackend: Backend {
-    /// Eq. 5 of every individual, a delta over the cloud held, on every view `[P, V]`.
-    fn score(
-        &mut self,
-        population: &[SparseDelta],
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<f32>, BackendError>;
-
-    /// Overwrites the genes of the rows that `delta` names.
-    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
-
-    /// Sums of each Gaussian's blending weights over all pixels of training views, hidden ones, too, each times that pixel's
-    /// value in the map of that view `[H, W]`; of each view `[N]`. Holds all of them at once. `map_of` makes a map when its
-    /// view's turn comes, so that a device can work on the view before it, and once more if that view is repeated.
-    fn weigh(
-        &mut self,
-        views: &[usize],
-        map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
-        settings: &RenderSettings,
-    ) -> Result<Vec<Vec<f32>>, BackendError>;
-
-    /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.
-    fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError>;
-
-    /// Adds the cloud as it is to the mean of recent states.
-    fn add_to_mean(&mut self) -> Result<(), BackendError>;
-
-    /// How the cloud, or the mean, does on every view `[V]`.
-    fn measure(
-        &mut self,
-        held: Held,
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<ViewLoss>, BackendError>;
-
-    /// The mean takes the cloud's place, and is emptied. Moments and the 3D filter stay.
-    fn take_mean(&mut self) -> Result<(), BackendError>;
-
-    /// Empties the mean.
-    fn drop_mean(&mut self);
-
-    /// [`Backend::edit_rows`], after which the cloud and Adam's moments as they were before it are the snapshot, in place of
-    /// one that there was. No other verb but [`Backend::upload`] changes it.
-    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
-
-    /// The snapshot takes the place of all that is held but the views, as if it were uploaded, and is no more.
-    ///
-    /// # Panics
-    ///
-    /// Where there is none.
-    fn roll_back(&mut self) -> Result<(), BackendError>;
-
-    /// Frees the snapshot, if there is one.
-    fn drop_snapshot(&mut self);
 }

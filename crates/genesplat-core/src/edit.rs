@@ -19,12 +19,6 @@ pub enum Origin {
         /// 0 or 1.
         child: u8,
     },
-    /// One of two that together render (nearly) like the one before: opacity and scales by MCMC's Eq. 9, each moved by
-    /// [`TWIN_OFFSET`] to its own side along the longest axis. Fresh moments.
-    Twin {
-        /// 0 or 1.
-        child: u8,
-    },
     /// Improved-GS: one of two that part along the longest axis and share it ([`LONG_AXIS_OFFSET`] and what follows it).
     /// Fresh moments.
     LongAxisChild {
@@ -92,11 +86,7 @@ impl RowEdit {
     /// `numbers` are those of the rows of `cloud` in the whole cloud.
     fn apply_to_cloud(&self, cloud: &mut Gaussians, numbers: impl Fn(usize) -> u32) {
         cloud.positions = self.rows().map(|(row, origin)| self.position(cloud, row, numbers(row), origin)).collect();
-        // Twins' scales depend on opacities, so these come later.
-        cloud.log_scales = self
-            .rows()
-            .map(|(row, origin)| new_log_scale(cloud.log_scales[row], cloud.opacity_logits[row], origin))
-            .collect();
+        cloud.log_scales = self.rows().map(|(row, origin)| new_log_scale(cloud.log_scales[row], origin)).collect();
         cloud.opacity_logits =
             self.rows().map(|(row, origin)| new_opacity(cloud.opacity_logits[row], origin)).collect();
         cloud.rotations = self.gather(&cloud.rotations);
@@ -149,7 +139,6 @@ impl RowEdit {
                 let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
                 [a, b, c]
             }
-            Origin::Twin { child } => along_longest(cloud.log_scales[row], TWIN_OFFSET, child),
             Origin::LongAxisChild { child } => along_longest(cloud.log_scales[row], LONG_AXIS_OFFSET, child),
             _ => return mean,
         };
@@ -190,12 +179,6 @@ fn keeps_moments(origin: Origin) -> bool {
 /// Children are 1.6 times smaller (3DGS: `s / (0.8 · 2)`).
 pub const SPLIT_SHRINK: f32 = 1.6;
 
-/// How far a twin moves, in standard deviations of the one before.
-pub const TWIN_OFFSET: f32 = 0.3;
-
-/// Twins of anything more opaque than this are made as if it had this opacity.
-pub const TWIN_OPACITY_MAX: f32 = 0.999;
-
 /// How far the centre of a long-axis child is from its parent's, in standard deviations: 0.45 of three.
 pub const LONG_AXIS_OFFSET: f32 = 0.45 * 3.0;
 
@@ -210,18 +193,6 @@ pub const LONG_AXIS_OPACITY: f32 = 0.6;
 
 /// What the opacity of a parent is taken to be at least, so that its children's have a logit.
 pub const LONG_AXIS_OPACITY_MIN: f32 = 1e-30;
-
-/// Opacity logit of the twins of a Gaussian, and what is added to its log-scales (Kheradmand et al. 2024, Eq. 9): `o' =
-/// 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
-fn twin(opacity_logit: f32) -> (f32, f32) {
-    // Never 0, whose logit is not finite.
-    let opacity = sigmoid(opacity_logit).clamp(f32::MIN_POSITIVE, TWIN_OPACITY_MAX);
-    let root = (1.0 - opacity).sqrt();
-    // 1 − root and o / o', without the cancellation and the division by zero at small o.
-    let (each, ratio) = (opacity / (1.0 + root), 1.0 + root);
-    let shrink = ratio / (2.0 - each * std::f32::consts::FRAC_1_SQRT_2);
-    (logit(each), shrink.ln())
-}
 
 /// The longest axis, the first of equal ones.
 fn longest(log_scale: [f32; 3]) -> usize {
@@ -247,12 +218,11 @@ fn long_axis_opacity(opacity_logit: f32) -> f32 {
     logit(LONG_AXIS_OPACITY * sigmoid(opacity_logit).clamp(LONG_AXIS_OPACITY_MIN, 1.0))
 }
 
-/// The log-scale that a new row gets from a row with this log-scale and opacity logit.
-pub fn new_log_scale(log_scale: [f32; 3], opacity_logit: f32, origin: Origin) -> [f32; 3] {
+/// The log-scale that a new row gets from a row with this one.
+pub fn new_log_scale(log_scale: [f32; 3], origin: Origin) -> [f32; 3] {
     match origin {
         Origin::SplitChild { .. } => log_scale.map(|value| (value.exp() / SPLIT_SHRINK).ln()),
         Origin::Relocated { log_scale_shift, .. } => log_scale.map(|value| value + log_scale_shift),
-        Origin::Twin { .. } => log_scale.map(|value| value + twin(opacity_logit).1),
         Origin::LongAxisChild { .. } => long_axis_scale(log_scale),
         Origin::Kept | Origin::Clone => log_scale,
     }
@@ -261,7 +231,6 @@ pub fn new_log_scale(log_scale: [f32; 3], opacity_logit: f32, origin: Origin) ->
 fn new_opacity(opacity_logit: f32, origin: Origin) -> f32 {
     match origin {
         Origin::Relocated { opacity_logit, .. } => opacity_logit,
-        Origin::Twin { .. } => twin(opacity_logit).0,
         Origin::LongAxisChild { .. } => long_axis_opacity(opacity_logit),
         _ => opacity_logit,
     }
@@ -325,28 +294,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn twins_stand_side_by_side_and_render_like_the_one_before() {
-        let mut cloud = Gaussians::zeros(1);
-        (cloud.log_scales[0], cloud.opacity_logits[0]) = ([-1.0, 0.5, -2.0], logit(0.8));
-        let mut edit = RowEdit::new(Rng::new(1), 0);
-        edit.push(0, Origin::Twin { child: 0 });
-        edit.push(0, Origin::Twin { child: 1 });
-        edit.apply(&mut cloud, &mut Moments::zeros(1));
-        let offset = TWIN_OFFSET * 0.5f32.exp();
-        assert_eq!(cloud.positions, [[0.0, offset, 0.0], [0.0, -offset, 0.0]]);
-        // Together they absorb at the centre what one did: 1 − (1 − o')² = o.
-        let each = sigmoid(cloud.opacity_logits[0]);
-        assert!((1.0 - (1.0 - each).powi(2) - 0.8).abs() < 1e-6);
-        // Along a line through the centre, too: ∫ 1 − (1 − o' g)² = s' sqrt(2π) (2 o' − o'²/√2) = s sqrt(2π) o.
-        let shrink = (cloud.log_scales[0][0] + 1.0).exp();
-        assert!((shrink * (2.0 * each - each * each / 2f32.sqrt()) - 0.8).abs() < 1e-6);
-        for opacity in [0.0, 1e-8, 0.5, 1.0] {
-            let (logit, log_scale_shift) = twin(logit(opacity));
-            assert!(logit.is_finite() && log_scale_shift.is_finite() && log_scale_shift <= 1e-6, "{opacity}");
-        }
-    }
-
     /// By hand: half the opacity becomes 0.3; of axes 1, 4, 2 the middle one is cut, 1.35 x 4 to both sides.
     #[test]
     fn a_long_axis_split_parts_its_children_along_the_axis_that_it_cuts() {
@@ -383,7 +330,7 @@ mod tests {
         edit.push(2, Origin::Kept);
         edit.push(2, Origin::SplitChild { child: 1 });
         edit.push(0, Origin::SplitChild { child: 0 });
-        edit.push(1, Origin::Twin { child: 1 });
+        edit.push(1, Origin::LongAxisChild { child: 1 });
         let (mut whole, mut moments) = (cloud(), Moments::zeros(3));
         moments.first = cloud();
         edit.apply(&mut whole, &mut moments);

@@ -10,6 +10,7 @@ pub mod backend;
 pub mod camera;
 pub mod constants;
 pub mod covariance;
+pub mod device;
 pub mod edit;
 pub mod gaussians;
 pub mod genes;
@@ -26,11 +27,9 @@ pub mod state_mean;
 pub mod statistics;
 pub mod stored_photo;
 
-pub use backend::{
-    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, Snapshot,
-    TrainStep, Update, View,
-};
+pub use backend::{BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View};
 pub use camera::Camera;
+pub use device::{Device, DeviceState, Edit, Renderer, Upload};
 pub use edit::{EditPart, Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Genes, SparseDelta};
@@ -41,5 +40,5 @@ pub use owners::{Alone, RowOwners};
 pub use rng::{Rng, Stream};
 pub use sight::Sight;
 pub use state_mean::{Held, StateMean, ViewLoss};
-pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};
+pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
 pub use stored_photo::{PhotoLost, PhotoStore, StoredPhoto};

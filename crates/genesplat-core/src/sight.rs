@@ -2,31 +2,32 @@
 
 use std::borrow::Cow;
 
-use crate::backend::{Backend, BackendError, RenderSettings};
+use crate::backend::{BackendError, RenderSettings};
 use crate::camera::Camera;
+use crate::device::Renderer;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
 
 /// The cloud on a device, and how it is rendered.
 pub struct Sight<'a> {
-    backend: &'a mut dyn Backend,
+    renderer: &'a mut dyn Renderer,
     settings: RenderSettings,
 }
 
 impl<'a> Sight<'a> {
-    /// What `backend` holds, as `settings` show it.
-    pub fn new(backend: &'a mut dyn Backend, settings: RenderSettings) -> Self {
-        Self { backend, settings }
+    /// What `renderer` holds, as `settings` show it.
+    pub fn new(renderer: &'a mut dyn Renderer, settings: RenderSettings) -> Self {
+        Self { renderer, settings }
     }
 
     /// The cloud as `camera` sees it.
     pub fn render(&mut self, camera: &Camera) -> Result<Image, BackendError> {
-        self.backend.render(camera, &self.settings)
+        self.renderer.render(camera, &self.settings)
     }
 
     /// The cloud itself; a copy where the device has a memory of its own.
     pub fn cloud(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        self.backend.download()
+        self.renderer.download()
     }
 
     /// How it is rendered.

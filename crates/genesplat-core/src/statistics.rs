@@ -9,8 +9,6 @@ pub enum DensitySignal {
     Signed,
     /// gsplat's "absgrad": absolute values per pixel before they are summed.
     Absolute,
-    /// [`Self::Signed`], and beside it the sum of absolute values (Gaussian Opacity Fields; later Mip-Splatting).
-    SignedAndAbsolute,
     /// Pixel-GS: weighted by the number of pixels blended (but for hidden ones), and times `min(1, (z / depth_threshold)²)`
     /// near the camera.
     PixelWeighted {
@@ -36,8 +34,6 @@ pub struct Statistics {
     pub gradient_sum: Vec<f32>,
     /// Sum of its weights: views, or pixels for [`DensitySignal::PixelWeighted`] `[N]`.
     pub weight_sum: Vec<f32>,
-    /// Sum of absolute gradients, same weights `[N]`; empty when never asked for.
-    pub absolute_sum: Vec<f32>,
     /// Sum of signed gene gradients `[N, 7]`; empty when never asked for.
     pub gene_gradient_sum: Vec<Genes>,
     /// Views that contributed to `gene_gradient_sum` `[N]`; empty when never asked for.
@@ -49,25 +45,4 @@ impl Statistics {
     pub fn mean_gradient(&self, row: usize) -> f32 {
         if self.weight_sum[row] > 0.0 { self.gradient_sum[row] / self.weight_sum[row] } else { 0.0 }
     }
-
-    /// The absolute gradient per unit of weight; 0 where there was none, or nobody asked.
-    pub fn mean_absolute(&self, row: usize) -> f32 {
-        match self.absolute_sum.get(row) {
-            Some(sum) if self.weight_sum[row] > 0.0 => sum / self.weight_sum[row],
-            _ => 0.0,
-        }
-    }
-}
-
-/// How much a Gaussian contributes to some training views, and how large the error is where it is seen, by its blending
-/// weights `α·T`.
-///
-/// The first tells which Gaussians can go (Fan et al., "LightGaussian", 2024), the second where more are wanted (Rota
-/// Bulò et al., "Revising Densification in Gaussian Splatting", 2024).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Contribution {
-    /// Its blending weights, summed over the pixels of all views.
-    pub weight: f32,
-    /// Its blending weights times `|I − P|`, summed over channels and pixels: of the view where that is largest.
-    pub error: f32,
 }

@@ -11,7 +11,7 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat_core::backend::Update;
 use genesplat_core::{
-    Backend, DensitySignal, Gaussians, LearningRates, RenderSettings, StatisticsRequest, TrainStep, median,
+    DensitySignal, Device, Gaussians, LearningRates, RenderSettings, Renderer, StatisticsRequest, TrainStep, median,
 };
 use genesplat_gallery::GalleryOptions;
 use genesplat_gpu::GpuBackend;

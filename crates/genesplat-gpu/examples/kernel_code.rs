@@ -30,10 +30,8 @@ fn overrides(kernel: &str) -> Vec<(&'static str, f64)> {
         "loss" => vec![("FORWARD_ONLY", 0.0)],
         "gather" => vec![("VECTORS", 12.0), ("FRESH", 1.0)],
         "average" => vec![("VECTORS", 12.0)],
-        "apply" => vec![("ZERO_MOMENTS", 1.0)],
         "adam_geometry" => vec![("ALL_ROWS", 0.0)],
         "keep_geometry" => vec![("TAKE", 1.0)],
-        "contribution_sum" => vec![("COLUMNS", 2.0)],
         _ => Vec::new(),
     }
 }

@@ -16,7 +16,7 @@ use fixtures::{
     CROWD, CROWD_LOGITS, camera, cloud, compare_rows, crowd, far_needles, filtered_cloud, filters, individual_of,
     masked_view, poisoned_cloud, settings, shortest_row, small_view, step, uniform, view,
 };
-use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep, View};
+use genesplat_core::{DensitySignal, Device, Edit, Gaussians, RenderSettings, Renderer, ScreenFilter, TrainStep, View};
 use genesplat_kernels::cpu::CpuBackend;
 
 use crate::GpuBackend;
@@ -39,7 +39,7 @@ const TOLERANCES: [(&str, f64); 11] = [
     ("edit", 1e-5),
     ("score", 1e-5),
     // Blending weights, as in "rasterise".
-    ("contribution", 1e-5),
+    ("blending_weights", 1e-5),
 ];
 
 /// Is `actual` what the twin says?

@@ -7,7 +7,7 @@ use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use genesplat_core::{Backend, EvolutionBackend, Gaussians};
+use genesplat_core::{Device, Gaussians, Renderer};
 use genesplat_gallery::GalleryOptions;
 use genesplat_gpu::GpuBackend;
 use genesplat_io::{HoldOut, Scene};
@@ -92,7 +92,7 @@ fn ellipsoids(scene: &Scene) -> Gaussians {
 }
 
 /// A whole run, and the mean PSNR over all photos at its end.
-fn trained(backend: &mut impl EvolutionBackend, scene: &Scene, start: Start, config: &Schedule) -> (Outcome, f64) {
+fn trained(backend: &mut impl Device, scene: &Scene, start: Start, config: &Schedule) -> (Outcome, f64) {
     let clock = Instant::now();
     let stop = AtomicBool::new(false);
     let outcome = train(backend, &scene.train, start, config, &mut Silent, &stop).unwrap();

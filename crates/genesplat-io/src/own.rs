@@ -137,7 +137,10 @@ pub fn make_folder(folder: &Path, name: impl AsRef<Path>) -> io::Result<PathBuf>
 pub fn link_or_copy(from: &Path, folder: &Path, name: impl AsRef<Path>) -> io::Result<()> {
     let (from, to) = (from.canonicalize()?, place(folder, name.as_ref())?);
     match fs::hard_link(&from, &to) {
-        Err(error) if makes_no_links(&error) && kind(&to)?.is_none() => copy(&from, &to),
+        Err(error) if makes_no_links(&error) => match kind(&to)? {
+            None => copy(&from, &to),
+            Some(_) => Err(ErrorKind::AlreadyExists.into()),
+        },
         done => done,
     }
 }

@@ -9,7 +9,7 @@
 //! | `rasterise_backward`, `project_backward` | the gradient back to splats, and to raw parameters |
 //! | `adam` | the optimiser step |
 //! | `noise` | MCMC's regularisers and SGLD noise, before and after the optimiser step |
-//! | `contribution` | blending weights of each Gaussian, and the errors where it is seen |
+//! | `blending_weights` | how much of each pixel every Gaussian is, times a map |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
 //! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast one:

@@ -132,12 +132,6 @@ fn density_signals_by_hand() {
     // The third splat is off the screen: no view counts for it, whatever its gradient.
     assert_eq!(sums(DensitySignal::Signed), (vec![10.0, 4.0, 0.0], vec![2.0, 2.0, 0.0]));
     assert_eq!(sums(DensitySignal::Absolute), (vec![26.0, 6.0, 0.0], vec![2.0, 2.0, 0.0]));
-    // The signed norms as above; beside them 5 + 12 and 0 + 3 a view.
-    let mut both = Statistics64::zeros(3);
-    let request = StatisticsRequest { density: Some(DensitySignal::SignedAndAbsolute), genes: false };
-    both.accumulate(&gradients, &request);
-    assert_eq!((both.gradient_sum, both.weight_sum), (vec![5.0, 2.0, 0.0], vec![1.0, 1.0, 0.0]));
-    assert_eq!(both.absolute_sum, [17.0, 3.0, 0.0]);
     // Depth 2 is half the threshold: a quarter of the signal; depth 4 is at it. 45 pixels each.
     let (gradient, weight) = sums(DensitySignal::PixelWeighted { depth_threshold: 4.0 });
     assert_eq!(gradient, [2.0 * 45.0 * 5.0 / 4.0, 2.0 * 45.0 * 2.0, 0.0]);

@@ -1,6 +1,6 @@
 //! Scores of views, and their means.
 
-use genesplat_core::{Backend, BackendError, Photo, RenderSettings, View};
+use genesplat_core::{BackendError, Photo, RenderSettings, Renderer, View};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::lpips::{InputRange, Lpips};
@@ -64,7 +64,7 @@ pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, 
     Ok(ViewScore { name: name.to_owned(), psnr: psnr(picture, truth)?, ssim: ssim(picture, truth)?, lpips: None })
 }
 
-/// Scores of what a backend has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees both pictures
+/// Scores of what a device has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees both pictures
 /// black elsewhere.
 fn score_view(view: &View, picture: &Photo, photo: &Photo, lpips: Option<&Lpips>) -> Result<ViewScore, SizeMismatch> {
     let mask = view.mask.as_deref();
@@ -85,7 +85,7 @@ fn score_view(view: &View, picture: &Photo, photo: &Photo, lpips: Option<&Lpips>
 /// # Panics
 /// When a view's camera and photo differ in size, which [`View`] rules out.
 pub fn evaluate(
-    backend: &mut dyn Backend,
+    renderer: &mut dyn Renderer,
     views: &[View],
     settings: &RenderSettings,
     lpips: Option<&Lpips>,
@@ -93,7 +93,7 @@ pub fn evaluate(
 ) -> Result<Evaluation, BackendError> {
     let mut scores = Vec::with_capacity(views.len());
     for view in views {
-        let picture = backend.render(&view.camera, settings)?.to_photo();
+        let picture = renderer.render(&view.camera, settings)?.to_photo();
         let score = score_view(view, &picture, &*view.photo.read()?, lpips);
         scores.push(score.expect("a view's camera has the size of its photo"));
         keep(view, picture);

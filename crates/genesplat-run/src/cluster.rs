@@ -9,7 +9,7 @@ use std::{env, process, thread};
 
 use anyhow::{Result, bail};
 use genesplat_cluster::{ClusterBackend, Group};
-use genesplat_core::{Alone, BackendError, EvolutionBackend, RowOwners};
+use genesplat_core::{Alone, BackendError, Device, RowOwners};
 use genesplat_io::Scene;
 
 use crate::digest::{PARTS, digests};
@@ -127,7 +127,7 @@ impl Cluster {
     }
 
     /// The backend that this process trains with.
-    pub fn backend(&self) -> Box<dyn EvolutionBackend> {
+    pub fn backend(&self) -> Box<dyn Device> {
         Box::new(ClusterBackend::new(self.group.clone()))
     }
 

@@ -3,9 +3,7 @@
 use std::sync::OnceLock;
 
 use anyhow::{Result, anyhow, bail};
-use genesplat_core::{
-    DensitySignal, EvolutionBackend, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update,
-};
+use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update};
 use genesplat_gpu::{AdapterReport, GpuBackend, adapters, check_best};
 use genesplat_kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
@@ -13,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::output;
 
 /// What computes.
-pub type Device = Box<dyn EvolutionBackend>;
+pub type Device = Box<dyn genesplat_core::Device>;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

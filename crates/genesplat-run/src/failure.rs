@@ -113,7 +113,6 @@ mod tests {
             cursor: Cursor::start_of(iteration),
             progress: Progress::default(),
             state: DeviceState::default(),
-            trial: None,
             virtual_pictures: Vec::new(),
         }
     }

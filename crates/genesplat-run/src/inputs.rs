@@ -228,7 +228,7 @@ fn changes_of(began: &PhotoDigests, now: &PhotoDigests) -> Vec<String> {
 mod tests {
     use std::fs;
 
-    use genesplat_gallery::{self, GalleryOptions};
+    use genesplat_gallery::{self as gallery, GalleryOptions};
     use genesplat_io::{Digest, HoldOut};
 
     use super::*;

@@ -2,7 +2,7 @@
 //!
 //! [`train`] is the loop of 3D Gaussian Splatting with the genetic search of "An Evolutionary Boost to Gaussian
 //! Splatting Optimization" in it; `pipeline.rs` reads like the paper. It is built on
-//! [`genesplat_core::EvolutionBackend`] and knows nothing of devices, files or windows: a [`Start`] goes in, an
+//! [`genesplat_core::Device`] and knows nothing of devices, files or windows: a [`Start`] goes in, an
 //! [`Observer`] listens, an [`Outcome`] comes out.
 //!
 //! | module | what it decides |

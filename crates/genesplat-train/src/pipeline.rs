@@ -13,7 +13,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{EvolutionBackend, StatisticsRequest, View};
+use genesplat_core::{Device, Edit, StatisticsRequest, View};
 
 use crate::density::Plan;
 use crate::run::checkpoint::{Checkpoint, Cursor};
@@ -29,7 +29,7 @@ use crate::timeline::{Event, Visit};
 /// A run that was stopped returns what it has, and a checkpoint that [`Start::Checkpoint`] resumes exactly. One whose
 /// device runs out of memory hands such a checkpoint to [`Observer::on_checkpoint`] before it fails.
 pub fn train(
-    backend: &mut dyn EvolutionBackend,
+    backend: &mut dyn Device,
     views: &[View],
     start: Start,
     schedule: &Schedule,
@@ -79,7 +79,9 @@ impl Trainer<'_> {
             Event::RefreshVirtualViews => self.refresh_virtual_views(i)?,
             Event::Densify => self.densify(i)?,
             Event::RefreshFilter => self.refresh_filter()?,
-            Event::ResetOpacity => self.backend.reset_opacity(self.run.schedule.method().reset_opacity())?,
+            Event::ResetOpacity => {
+                self.backend.edit(Edit::OpacityCeiling(self.run.schedule.method().reset_opacity()))?
+            }
             Event::Search if self.run.config().genetic.is_some() => return self.run_stage::<GeneticSearch>(),
             Event::Search => return self.run_stage::<ExtraGradientSteps>(),
             Event::AddToMean => self.backend.add_to_mean()?,
@@ -135,7 +137,7 @@ impl Trainer<'_> {
         if plan.edit.sources.is_empty() {
             return Err(TrainError::NothingLeft { iteration: i });
         }
-        self.backend.edit_rows(&plan.edit)?;
+        self.backend.edit(Edit::Rows(&plan.edit))?;
         self.notice_full_cloud(i, &plan);
         let Plan { relocated, cloned, split, pruned, .. } = plan;
         let gaussians = self.backend.gaussian_count();
@@ -147,6 +149,6 @@ impl Trainer<'_> {
     fn refresh_filter(&mut self) -> Result<(), TrainError> {
         let positions: Vec<_> = self.backend.genes()?.into_iter().map(|[x, y, z, ..]| [x, y, z]).collect();
         let filter = filter_of(self.run.views, &positions);
-        Ok(self.backend.set_filter_3d(filter)?)
+        Ok(self.backend.edit(Edit::Filter3d(filter))?)
     }
 }

@@ -9,7 +9,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use genesplat_core::{Backend, Gaussians, RenderSettings, Rng, Sight, Stream};
+use genesplat_core::{Device, Gaussians, RenderSettings, Rng, Sight, Stream};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::{Exhibition, LiveView};
 use tungstenite::client::IntoClientRequest;

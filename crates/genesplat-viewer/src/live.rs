@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{Backend, BackendError, Camera, DeviceState, Gaussians, Image, Photo, RenderSettings, Sight};
+use genesplat_core::{BackendError, Camera, Device, Gaussians, Image, Photo, RenderSettings, Sight};
 use serde::Serialize;
 
 use crate::ViewerError;
@@ -100,7 +100,7 @@ pub struct LiveView {
     /// When the last snapshot was saved.
     saved: Option<f64>,
     /// Renders what the render modes make of a cloud.
-    mode_backend: Box<dyn Backend>,
+    mode_device: Box<dyn Device>,
 }
 
 impl LiveView {
@@ -109,7 +109,7 @@ impl LiveView {
         address: SocketAddr,
         exhibition: Exhibition,
         can_train: bool,
-        mode_backend: Box<dyn Backend>,
+        mode_device: Box<dyn Device>,
     ) -> Result<Self, ViewerError> {
         let phase = if can_train { Phase::Training } else { Phase::Viewing };
         let state = State {
@@ -125,7 +125,7 @@ impl LiveView {
         let server = Server::start(address, exhibition, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
         let posted = [f64::NEG_INFINITY; 2];
-        let mut view = Self { server, clock, budget, state, curves, posted, saved: None, mode_backend };
+        let mut view = Self { server, clock, budget, state, curves, posted, saved: None, mode_device };
         view.post(true);
         Ok(view)
     }
@@ -322,12 +322,12 @@ impl LiveView {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<Image, BackendError> {
-        let backend = &mut *self.mode_backend;
-        let ready = backend.upload(derived.into()).and_then(|()| backend.end_training());
-        let render = ready.and_then(|()| backend.render(camera, settings));
+        let device = &mut *self.mode_device;
+        let ready = device.upload(derived.into()).and_then(|()| device.end_training());
+        let render = ready.and_then(|()| device.render(camera, settings));
         // This frees the memory of views, which the next verb may need to be granted.
-        backend.end_training()?;
-        backend.upload(DeviceState::default())?;
+        device.end_training()?;
+        device.upload(Gaussians::default().into())?;
         render
     }
 

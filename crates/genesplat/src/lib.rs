@@ -5,7 +5,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`core`] | clouds, cameras, pictures, randomness, and the `Backend` trait |
+//! | [`core`] | clouds, cameras, pictures, randomness, and the traits of a device |
 //! | [`io`] | scenes in, splats out |
 //! | [`gallery`] | the bundled scene, and the ray caster that photographs it |
 //! | [`gpu`] | the same stages as WGSL kernels: the backend for graphics cards |

@@ -11,7 +11,7 @@
 @group(0) @binding(7) var<storage, read> first_intersections: array<u32>;
 // [I, 3] vectors
 @group(0) @binding(8) var<storage, read> intersection_gradients: array<vec4<f32>>;
-// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, what goes with the density. Rows
+// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, weight of the density. Rows
 // without a splat are not written, nor read by any stage: that would be most of the memory that both touch.
 @group(0) @binding(9) var<storage, read_write> gradients: array<vec4<f32>>;
 
@@ -124,14 +124,12 @@ fn sh_direction_gradient(degree: u32, group: u32, d: vec3<f32>, weights: vec4<f3
     }
 }
 
-// The density signal of one view and what goes with it: its weight (pixels), or the absolute gradient; by normalised
-// device coordinate.
+// The density signal of one view, by normalised device coordinate, and its weight where that is not 1: pixels.
 fn density_of(mean_gradient: vec2<f32>, absolute: vec2<f32>, pixels: f32, depth: f32) -> vec2<f32> {
     let ndc = 0.5 * vec2(f32(view.width), f32(view.height));
     switch view.signal {
         case SIGNAL_SIGNED: { return vec2(length(mean_gradient * ndc), 0.0); }
         case SIGNAL_ABSOLUTE: { return vec2(length(absolute * ndc), 0.0); }
-        case SIGNAL_BOTH: { return vec2(length(mean_gradient * ndc), dot(absolute, ndc)); }
         case SIGNAL_PIXELS: {
             let ratio = depth / view.depth_threshold;
             return vec2(pixels * min(1.0, ratio * ratio) * length(mean_gradient * ndc), pixels);

@@ -5,8 +5,8 @@
 @group(0) @binding(2) var<storage, read> counters: Counters;
 @group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
 @group(0) @binding(4) var<storage, read> gradients: array<vec4<f32>>;
-// Gradient, weight, absolute gradient.
-@group(0) @binding(5) var<storage, read_write> density: array<vec4<f32>>;
+// Gradient, weight.
+@group(0) @binding(5) var<storage, read_write> density: array<vec2<f32>>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -27,11 +27,5 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if view.is_masked != 0u && signal.x == 0.0 {
         return;
     }
-    var sum = vec4(signal.x, 1.0, 0.0, 0.0);
-    if view.signal == SIGNAL_PIXELS {
-        sum.y = signal.y;
-    } else if view.signal == SIGNAL_BOTH {
-        sum.z = signal.y;
-    }
-    density[local] += sum;
+    density[local] += vec2(signal.x, select(1.0, signal.y, view.signal == SIGNAL_PIXELS));
 }

@@ -1,22 +1,12 @@
 // Row edits of positions, scales and opacities: clones are exact copies, split children are drawn from their parent's
-// own distribution and are 1.6 times smaller, twins part along their longest axis and together render like the one
-// before, long-axis children share that axis, relocated Gaussians take over opacity and scales from the plan.
+// own distribution and are 1.6 times smaller, long-axis children part along their parent's longest axis and share it,
+// relocated Gaussians take over opacity and scales from the plan.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<uniform> edit: Edit;
 @group(0) @binding(2) var<storage, read> plan: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> old: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> new_rows: array<vec4<f32>>;
-
-// Opacity logit of the twins of a Gaussian, and what is added to its log-scales (MCMC's Eq. 9 for two).
-fn twin_of(opacity_logit: f32) -> vec2<f32> {
-    let opacity = min(sigmoid(opacity_logit), TWIN_OPACITY_MAX);
-    let root = sqrt(1.0 - opacity);
-    let ratio = 1.0 + root;
-    let each = opacity / ratio;
-    // 1 - each is root. In two logarithms: half the smallest opacity is a denormal, which some devices flush to zero.
-    return vec2(log(opacity) - log(ratio * root), log(ratio / (2.0 - each * FRAC_1_SQRT_2)));
-}
 
 // A unit vector along the longest axis, the first of equal ones.
 fn longest_axis(log_scale: vec3<f32>) -> vec3<f32> {
@@ -50,11 +40,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let xi = normals_at(STREAM_SPLIT_OFFSET, edit.iteration, made.x, made.y - ORIGIN_SPLIT, key);
         position += vec4(unit_rotation(rotation) * (exp(scale.xyz) * xi), 0.0);
         scale = vec4(log(exp(scale.xyz) / SPLIT_SHRINK), scale.w);
-    } else if made.y == ORIGIN_TWIN || made.y == ORIGIN_TWIN + 1u {
-        let offset = longest_axis(scale.xyz) * to_its_side(TWIN_OFFSET, made.y - ORIGIN_TWIN);
-        let twin = twin_of(position.w);
-        position = vec4(position.xyz + unit_rotation(rotation) * (exp(scale.xyz) * offset), twin.x);
-        scale += vec4(vec3(twin.y), 0.0);
     } else if made.y == ORIGIN_LONG_AXIS || made.y == ORIGIN_LONG_AXIS + 1u {
         let longest = longest_axis(scale.xyz);
         let offset = longest * to_its_side(LONG_AXIS_OFFSET, made.y - ORIGIN_LONG_AXIS);

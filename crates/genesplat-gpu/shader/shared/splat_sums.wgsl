@@ -1,4 +1,4 @@
-// What stages `project_backward` and `contribution` have in common: the sums over a splat's tiles. Needs
+// What stages `project_backward` and `blending_weights` have in common: the sums over a splat's tiles. Needs
 // `intersection_gradients`: array<vec4<f32>>, three an intersection.
 
 // The gradients of a splat's intersections, summed.

@@ -7,7 +7,7 @@ use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor
 
 use crate::Result;
 use crate::device::Engine;
-use crate::state::layout::{GRID_WIDTH, GROUP, TILE};
+use crate::layout::{GRID_WIDTH, GROUP, TILE};
 
 /// Workgroup memory in which the backward pass reduces eight splats at once, bytes.
 pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;

@@ -19,7 +19,7 @@ use crate::device::probe;
 #[cfg(test)]
 use crate::device::shaders::kernel_texts;
 use crate::device::shaders::{Abilities, Shader};
-use crate::state::layout::SH_FLOATS;
+use crate::layout::SH_FLOATS;
 
 /// Views that may be submitted without a wait.
 const QUEUED_VIEWS_MAX: usize = 32;

@@ -9,7 +9,6 @@ pub(crate) mod probe;
 pub(crate) mod recorder;
 pub(crate) mod shaders;
 pub(crate) mod timing;
-pub(crate) mod traffic;
 pub(crate) mod unroll;
 
 pub(crate) use engine::Engine;

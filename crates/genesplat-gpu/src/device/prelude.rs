@@ -1,4 +1,4 @@
-//! What every shader begins with: the constants and structs of [`crate::state::layout`] and of [`genesplat_core`], in
+//! What every shader begins with: the constants and structs of [`crate::layout`] and of [`genesplat_core`], in
 //! WGSL.
 
 use genesplat_core::constants::{
@@ -7,13 +7,12 @@ use genesplat_core::constants::{
 };
 use genesplat_core::edit::{
     LONG_AXIS_OFFSET, LONG_AXIS_OPACITY, LONG_AXIS_OPACITY_MIN, LONG_AXIS_SHRINK, LONG_AXIS_WIDTH, SPLIT_SHRINK,
-    TWIN_OFFSET, TWIN_OPACITY_MAX,
 };
 use genesplat_core::rng::Stream;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3};
 
 use crate::device::shaders::Abilities;
-use crate::state::layout::*;
+use crate::layout::*;
 
 /// Constants and structs in WGSL, for the head of every shader.
 pub(super) fn prelude(abilities: Abilities) -> String {
@@ -46,7 +45,7 @@ fn float_constants() -> Vec<(&'static str, f32)> {
     let shared = named! {
         ALPHA_MIN ALPHA_MAX TRANSMITTANCE_MIN MIP_EPSILON ANTIALIAS_RATIO_MIN DISCRIMINANT_MIN
         LAMBDA_DSSIM SSIM_C1 SSIM_C2 ADAM_BETA1 ADAM_BETA2 ADAM_EPSILON NOISE_OPACITY NOISE_STEEPNESS
-        SPLIT_SHRINK TWIN_OFFSET TWIN_OPACITY_MAX
+        SPLIT_SHRINK
         LONG_AXIS_OFFSET LONG_AXIS_SHRINK LONG_AXIS_WIDTH LONG_AXIS_OPACITY LONG_AXIS_OPACITY_MIN
     };
     let own = [
@@ -55,7 +54,6 @@ fn float_constants() -> Vec<(&'static str, f32)> {
         ("LOG2_E", std::f32::consts::LOG2_E),
         ("LN_2", std::f32::consts::LN_2),
         ("TAU", std::f32::consts::TAU),
-        ("FRAC_1_SQRT_2", std::f32::consts::FRAC_1_SQRT_2),
         // As on the CPU: a list may have a splat too many, never one too few.
         ("SLACK_LOG2", 1e-3),
         ("SLACK_PX", 1e-2),

@@ -5,7 +5,7 @@ use wgpu::ErrorFilter;
 
 use crate::Result;
 use crate::device::{Engine, Grid, Recorder, shaders};
-use crate::state::layout::GROUP;
+use crate::layout::GROUP;
 
 /// Invocations of a subgroup, if subgroups do on this device what kernels rely on.
 pub(crate) fn subgroup_width(engine: &Engine) -> Result<Option<u32>> {

@@ -6,7 +6,7 @@ use wgpu::{CommandEncoder, ComputePass, ComputePassDescriptor, ComputePassTimest
 use crate::device::shaders::Shader;
 use crate::device::timing::{TIMED_PASSES, Timestamps};
 use crate::device::{Engine, Memory, Part};
-use crate::state::layout::{GRID_WIDTH, GROUP};
+use crate::layout::{GRID_WIDTH, GROUP};
 
 /// Instructions of an invocation, roughly: the longest kernels have 1,500, most far less (`lab/gpu-code.md`).
 pub(crate) const INVOCATION: u64 = 1_000;

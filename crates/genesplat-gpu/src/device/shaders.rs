@@ -154,7 +154,7 @@ shaders! {
     GATHER = "rows/gather" + [];
     EDIT_GEOMETRY = "rows/edit_geometry" + [ROTATION, RANDOM];
     RESET_OPACITY = "rows/reset_opacity" + [];
-    APPLY = "rows/apply" + [];
+    SET_GENES = "rows/set_genes" + [];
     SET_FILTER = "rows/set_filter" + [];
     // The mean of states.
     AVERAGE = "rows/average" + [];
@@ -163,9 +163,8 @@ shaders! {
     PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, OVERLAP, BATCH_SPLAT];
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
-    // Contributions of Gaussians to views.
-    CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];
-    CONTRIBUTION_SUM = "blend/contribution_sum" + [SPLAT_SUMS];
+    // How much of each pixel every Gaussian is.
+    WEIGHT_SUM = "blend/weight_sum" + [SPLAT_SUMS];
 }
 
 /// Name and WGSL of every kernel, as a device with subgroups compiles it: what tools count.
@@ -189,7 +188,7 @@ mod tests {
 
     use super::*;
     use crate::device::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES_MIN};
-    use crate::state::layout::{Counters, Edit, Optimiser, ViewPass, Window};
+    use crate::layout::{Counters, Edit, Optimiser, ViewPass, Window};
 
     const PLAIN: Abilities = Abilities { subgroups: false, workgroup_bytes: WORKGROUP_BYTES_MIN };
 

@@ -1,7 +1,7 @@
 //! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing how many.
 //!
 //! The device counts splats and intersections, and later dispatches take their sizes from there. Buffers of
-//! intersections are sized by what earlier views needed; where a view needs more, see [`crate::queue`]. The order is
+//! intersections are sized by what earlier views needed; a view that needs more is submitted once more. The order is
 //! that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order, and a stable
 //! sort by tile keeps it.
 
@@ -12,12 +12,12 @@ use genesplat_core::Held;
 
 use crate::Result;
 use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Part, Recorder, shaders};
-use crate::stages::sort::{DIGIT_BITS, Sort, Sorter};
-use crate::stages::tiles::reserve_first_rows;
-use crate::state::layout::{
+use crate::layout::{
     Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
     LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, Optimiser, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
 };
+use crate::stages::sort::{DIGIT_BITS, Sort, Sorter};
+use crate::stages::tiles::reserve_first_rows;
 use crate::state::{LateColours, ROW_INSTRUCTIONS, State};
 
 /// Where an optimiser lies behind a view, bytes: a multiple of what every device can bind at.

@@ -4,9 +4,9 @@
 use genesplat_core::TrainStep;
 
 use crate::device::{Grid, Memory, Recorder, shaders};
+use crate::layout::{Optimiser, SH_FLOATS};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::Pixels;
-use crate::state::layout::{Optimiser, SH_FLOATS};
 use crate::state::{LateColours, Parameters, RowWindow, State};
 
 /// Groups of four coefficients, of three channels each, of a row of colours.

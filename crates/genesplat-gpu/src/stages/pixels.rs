@@ -5,9 +5,9 @@ use genesplat_core::{Mask, Photo};
 
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
+use crate::layout::{INTERSECTION_GRADIENT_FLOATS, ViewPass};
 use crate::stages::lists::Lists;
 use crate::stages::tiles::{self, TileKernel};
-use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, ViewPass};
 
 pub(crate) const INTERSECTION_GRADIENT_BYTES: u64 = 4 * INTERSECTION_GRADIENT_FLOATS as u64;
 

@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::device::probe::attempt;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
-use crate::state::layout::{
+use crate::layout::{
     DIGITS, GRID_DEPTH_SORT, GRID_WIDTH, GRIDS, LENGTH_ROWS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK,
     SORT_PIECE,
 };

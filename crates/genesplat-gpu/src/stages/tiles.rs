@@ -8,8 +8,8 @@ use crate::Result;
 use crate::device::recorder::{INVOCATION, Recorder};
 use crate::device::shaders::{self, Shader};
 use crate::device::{Engine, Grid, Memory, Part};
+use crate::layout::{SLOTS, TILE, ViewPass};
 use crate::stages::lists::Lists;
-use crate::state::layout::{SLOTS, TILE, ViewPass};
 
 /// Where the number of a tile row lies behind that of the row before it, bytes: a multiple of what every device can bind
 /// at.

@@ -4,9 +4,9 @@ use genesplat_core::backend::{McmcStep, Update};
 use genesplat_core::constants::JACOBIAN_LIMIT;
 use genesplat_core::{Camera, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
 
-use crate::state::layout::{
-    FILTER_ANTIALIASED, FILTER_CLASSIC, FILTER_MIP, Optimiser, SIGNAL_ABSOLUTE, SIGNAL_BOTH, SIGNAL_NONE,
-    SIGNAL_PIXELS, SIGNAL_SIGNED, TILE, ViewPass,
+use crate::layout::{
+    FILTER_ANTIALIASED, FILTER_CLASSIC, FILTER_MIP, Optimiser, SIGNAL_ABSOLUTE, SIGNAL_NONE, SIGNAL_PIXELS,
+    SIGNAL_SIGNED, TILE, ViewPass,
 };
 
 impl ViewPass {
@@ -57,7 +57,6 @@ impl ViewPass {
             None => (SIGNAL_NONE, 1.0),
             Some(DensitySignal::Signed) => (SIGNAL_SIGNED, 1.0),
             Some(DensitySignal::Absolute) => (SIGNAL_ABSOLUTE, 1.0),
-            Some(DensitySignal::SignedAndAbsolute) => (SIGNAL_BOTH, 1.0),
             Some(DensitySignal::PixelWeighted { depth_threshold }) => (SIGNAL_PIXELS, depth_threshold),
         };
         Self { signal, depth_threshold, ..self }

@@ -8,7 +8,7 @@ use genesplat_core::{Gaussians, Genes};
 
 use crate::Result;
 use crate::device::{Engine, Memory, Part};
-use crate::state::layout::{GEOMETRY_FLOATS, LATE_STEPS_MAX, SH_FLOATS, Window};
+use crate::layout::{GEOMETRY_FLOATS, LATE_STEPS_MAX, SH_FLOATS, Window};
 
 /// Instructions of a row whose colours make up for all steps that they may have to: more than any other stage takes.
 pub(crate) const ROW_INSTRUCTIONS: u64 = SH_FLOATS as u64 / 4 * MAKE_UP_INSTRUCTIONS + 1_500;

@@ -4,7 +4,7 @@ use genesplat_core::{Held, StateMean};
 
 use crate::Result;
 use crate::device::{Engine, Grid, Part, Recorder, shaders};
-use crate::stages::rows::{edit_uniform, run_vectors};
+use crate::state::rows::{edit_uniform, run_vectors};
 use crate::state::{LateColours, Parameters, RowWindow, Settled, State};
 
 pub(crate) struct DeviceMean {

@@ -4,13 +4,13 @@ use genesplat_core::{Genes, Statistics};
 
 use crate::Result;
 use crate::device::Engine;
+use crate::layout::{DENSITY_FLOATS, GENE_FLOATS};
 use crate::state::Column;
-use crate::state::layout::{DENSITY_FLOATS, GENE_FLOATS};
 
 /// Position and x of the log-scale; its y and z, the opacity logit, the number of views.
 type GeneRow = [f32; GENE_FLOATS as usize];
 
-/// Gradient, weight, absolute gradient, nothing.
+/// Gradient, weight.
 type DensityRow = [f32; DENSITY_FLOATS as usize];
 
 /// Sums since the last edit.
@@ -19,24 +19,19 @@ pub(crate) struct DeviceStatistics {
     pub(crate) density: Column,
     /// Once a step has asked for them.
     pub(crate) genes: Option<Column>,
-    /// A step has asked for the absolute column.
-    pub(crate) has_absolute: bool,
 }
 
 impl DeviceStatistics {
     pub(crate) fn zeros(engine: &Engine, rows: u64) -> Result<Self> {
         let density = Column::zeros(engine, "density statistics", rows, DENSITY_FLOATS)?;
-        Ok(Self { density, genes: None, has_absolute: false })
+        Ok(Self { density, genes: None })
     }
 
     /// Puts back what [`Self::download`] gave; empty columns are zeros.
     pub(super) fn upload(engine: &Engine, rows: u64, given: &Statistics) -> Result<Self> {
         let mut statistics = Self::zeros(engine, rows)?;
-        statistics.has_absolute = !given.absolute_sum.is_empty();
-        let absolute = |row: usize| given.absolute_sum.get(row).copied().unwrap_or(0.0);
-        let sums = given.gradient_sum.iter().zip(&given.weight_sum).enumerate();
-        let density: Vec<DensityRow> =
-            sums.map(|(row, (&gradient, &weight))| [gradient, weight, absolute(row), 0.0]).collect();
+        let sums = given.gradient_sum.iter().zip(&given.weight_sum);
+        let density: Vec<DensityRow> = sums.map(|(&gradient, &weight)| [gradient, weight]).collect();
         engine.write(&statistics.density.memory, 0, &density);
         if !given.gene_views.is_empty() {
             statistics.reserve_genes(engine, rows)?;
@@ -65,9 +60,6 @@ impl DeviceStatistics {
             weight_sum: density.iter().map(|row| row[1]).collect(),
             ..Statistics::default()
         };
-        if self.has_absolute {
-            statistics.absolute_sum = density.iter().map(|row| row[2]).collect();
-        }
         if let Some(column) = &self.genes {
             let genes: Vec<GeneRow> = engine.read_values(&column.memory, rows)?;
             statistics.gene_gradient_sum =

@@ -9,9 +9,9 @@ use std::cell::Cell;
 use genesplat_core::{Gaussians, Genes, Moments};
 
 use super::cloud::{Column, MAKE_UP_INSTRUCTIONS, Parameters, RowWindow, windows};
-use super::layout::{LATE_STEPS_MAX, SH_FLOATS};
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Part, Recorder, shaders};
+use crate::layout::{LATE_STEPS_MAX, SH_FLOATS};
 
 /// What memory for [`Settled::pending`] is for.
 const PENDING: &str = "gradients of several views";
@@ -104,12 +104,6 @@ impl Trained {
     pub(crate) fn settled(&self, engine: &Engine) -> &Settled {
         self.make_up(engine);
         &self.values
-    }
-
-    /// The same by value.
-    pub(crate) fn into_settled(self, engine: &Engine) -> Settled {
-        self.make_up(engine);
-        self.values
     }
 
     /// Geometry of the cloud, which is never behind.

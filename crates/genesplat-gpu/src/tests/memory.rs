@@ -3,10 +3,10 @@
 
 use std::rc::Rc;
 
-use genesplat_core::backend::MomentPolicy;
-use genesplat_core::{BackendError, EvolutionBackend, Held, Origin, RowEdit, SparseDelta};
+use genesplat_core::{BackendError, Held, Origin, RowEdit, SparseDelta};
 
-use super::verbs::{change_rows, make_twins, ten_steps, twins_agree};
+use super::evolution::map_of;
+use super::verbs::{change_rows, split_long_axes, ten_steps, twins_agree};
 use super::*;
 use crate::device::adapter::WORKGROUP_BYTES_MIN;
 
@@ -14,7 +14,7 @@ use crate::device::adapter::WORKGROUP_BYTES_MIN;
 #[test]
 fn little_workgroup_memory_changes_no_bit() {
     let (Some(full), Some(little)) = (engine(), little_engine()) else { return };
-    let signals = [DensitySignal::SignedAndAbsolute, DensitySignal::PixelWeighted { depth_threshold: 2.0 }];
+    let signals = [DensitySignal::Absolute, DensitySignal::PixelWeighted { depth_threshold: 2.0 }];
     let [expected, found] = [full, little].map(|engine| {
         let mut gpu = GpuBackend::on(engine).unwrap();
         gpu.set_views(&[view(), masked_view(90)]).unwrap();
@@ -24,8 +24,8 @@ fn little_workgroup_memory_changes_no_bit() {
             step.statistics.density = Some(signal);
             gpu.train_step(&step).unwrap();
         }
-        let contributions = gpu.contributions(&[0, 1], &settings(3, ScreenFilter::Mip)).unwrap();
-        (gpu.state().unwrap(), contributions)
+        let weights = gpu.blending_weights(&[0], &|_| map_of(&view()), &settings(3, ScreenFilter::Mip)).unwrap();
+        (gpu.state().unwrap(), weights)
     });
     assert!(expected.0.statistics.gradient_sum.iter().any(|&sum| sum > 0.0), "gradients are summed");
     assert!(found == expected);
@@ -49,7 +49,7 @@ fn columns_that_no_binding_can_hold_are_split() {
     assert_eq!(gpu.state.trained.windows().len(), 3);
     twins_agree("edit", &mut gpu, change_rows);
     assert_eq!(gpu.state.trained.windows().len(), 3);
-    twins_agree("edit", &mut gpu, make_twins);
+    twins_agree("edit", &mut gpu, |twin| split_long_axes(twin, 0));
 }
 
 /// Too small buffers for the tile lists, at the first step and again in the middle: nothing is lost.
@@ -179,7 +179,7 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
     let (least, mut failures) = (gpu.allocated_bytes(), 0);
     for bytes in (0..).step_by(20_000) {
         gpu.engine.usage.limit_bytes = least + bytes;
-        match gpu.edit_rows(&edit) {
+        match gpu.edit(Edit::Rows(&edit)) {
             Ok(()) => break,
             Err(error) => assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}"),
         }
@@ -193,31 +193,6 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
     assert_eq!(gpu.download().unwrap().positions[300..], before.cloud.positions[..200]);
 }
 
-/// At every column that finds no memory: what is held stays, and so does the snapshot.
-#[test]
-fn a_trial_that_finds_no_memory_changes_nothing() {
-    let Some(mut gpu) = gpu() else { return };
-    gpu.upload(cloud(300).into()).unwrap();
-    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
-    let all = RowEdit::keep((0..300).collect());
-    for begins in [true, true, false] {
-        let before = gpu.state().unwrap();
-        gpu.discard_queued_steps().unwrap();
-        let (least, mut failures) = (gpu.allocated_bytes(), 0);
-        for bytes in (0..).step_by(2_000) {
-            gpu.engine.usage.limit_bytes = least + bytes;
-            let done = if begins { gpu.edit_rows_on_trial(&all) } else { gpu.roll_back() };
-            gpu.engine.usage.limit_bytes = u64::MAX;
-            let Err(error) = done else { break };
-            assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
-            failures += 1;
-            assert!(gpu.state().unwrap() == before, "{bytes} bytes");
-        }
-        assert!(failures > 3, "it failed at every column: {failures} times");
-        assert_eq!(gpu.state().unwrap().snapshot.is_some(), begins);
-    }
-}
-
 /// Buffers of steps make way for rows.
 #[test]
 fn an_edit_takes_the_memory_that_steps_can_do_without() {
@@ -226,7 +201,7 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
     gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
     gpu.report().unwrap();
     gpu.engine.usage.limit_bytes = gpu.allocated_bytes();
-    gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
+    gpu.edit(Edit::Rows(&RowEdit::keep((0..300).collect()))).unwrap();
     gpu.engine.usage.limit_bytes = u64::MAX;
     let classic = settings(2, ScreenFilter::Classic);
     let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
@@ -234,7 +209,7 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
         1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
         2 => drop(gpu.measure(Held::Cloud, &[0], &classic).unwrap()),
         3 => drop(gpu.measure(Held::Mean, &[0], &classic).unwrap()),
-        4 => drop(gpu.contributions(&[0], &classic).unwrap()),
+        4 => drop(gpu.blending_weights(&[0], &|_| map_of(&view()), &classic).unwrap()),
         _ => drop(gpu.render(&camera(), &classic).unwrap()),
     };
     // Whatever comes first finds nothing, and reserves what it needs.
@@ -275,10 +250,10 @@ fn steps_scores_and_losses_take_turns() {
     for _ in 0..2 {
         for verb in verbs {
             verb(&mut gpu);
-            gpu.apply(&population[0], MomentPolicy::Keep).unwrap();
+            gpu.edit(Edit::Genes(&population[0])).unwrap();
             verb(&mut gpu);
             let state = gpu.state().unwrap();
-            gpu.upload(state).unwrap();
+            gpu.upload(state.into()).unwrap();
         }
     }
 }
@@ -292,7 +267,7 @@ fn steps_without_memory_are_left_undone_and_counted() {
     let steps = [(1, 0), (2, 0), (3, 1), (4, 0), (5, 1)];
     let steps = steps.map(|(number, view)| TrainStep { view, ..step(number, classic) });
     let mut cpu = cpu();
-    for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+    for twin in [&mut gpu as &mut dyn Device, &mut cpu] {
         twin.set_views(&views).unwrap();
         twin.upload(cloud(300).into()).unwrap();
     }

@@ -10,15 +10,16 @@
 
 use std::collections::HashMap;
 
-use genesplat_core::{BackendError, EvolutionBackend, Held};
+use genesplat_core::{BackendError, Held};
 
+use super::evolution::map_of;
 use super::*;
 use crate::device::adapter::WORKGROUP_BYTES;
 use crate::device::engine::Rewrite;
 use crate::device::shaders::{Abilities, DIGIT_SCAN, SCAN_BLOCKS, Shader, kernel_texts};
 use crate::device::unroll::unrolled;
 use crate::device::{Grid, Recorder};
-use crate::state::layout::{DIGITS, SCAN_BLOCK, SORT_BLOCK};
+use crate::layout::{DIGITS, SCAN_BLOCK, SORT_BLOCK};
 
 const PLAIN: Abilities = Abilities { subgroups: false, workgroup_bytes: WORKGROUP_BYTES };
 
@@ -112,10 +113,7 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError>
     Ok(match kernel {
         "bin/scan_blocks" => walked(gpu, &SCAN_BLOCKS, SCAN_BLOCK, 1),
         "bin/digit_scan" => walked(gpu, &DIGIT_SCAN, SORT_BLOCK, 3),
-        "blend/contribution_sum" => {
-            let contributions = gpu.contributions(&[0], &settings)?;
-            contributions.iter().flat_map(|of| [of.weight, of.error]).map(f32::to_bits).collect()
-        }
+        "blend/weight_sum" => bits(&gpu.blending_weights(&[0], &|_| map_of(&small_view()), &settings)?[0]),
         "score/view_losses" => {
             let losses = gpu.measure(Held::Cloud, &[0], &settings)?;
             vec![losses[0].loss.to_bits(), losses[0].squared_error.to_bits()]
@@ -126,7 +124,7 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError>
         }
         _ => {
             let mut step = step(1, settings);
-            step.statistics.density = Some(DensitySignal::SignedAndAbsolute);
+            step.statistics.density = Some(DensitySignal::Absolute);
             gpu.train_step(&step)?;
             let mut found = vec![gpu.report()?.loss.to_bits()];
             let state = gpu.state()?;

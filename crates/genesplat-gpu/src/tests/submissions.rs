@@ -1,6 +1,6 @@
 //! Long work is split into dispatches and submissions that a weak device is through with soon: with the same bits.
 
-use genesplat_core::{Contribution, DeviceState, EvolutionBackend, Held, Image};
+use genesplat_core::{DeviceState, Held, Image};
 
 use super::evolution::map_of;
 use super::verbs::change_rows;
@@ -13,7 +13,6 @@ use crate::device::unroll::unrolled;
 struct Found {
     state: DeviceState,
     image: Image,
-    contributions: Vec<Contribution>,
     weights: Vec<Vec<f32>>,
     scores: Vec<f32>,
     losses: Vec<[f32; 2]>,
@@ -37,8 +36,7 @@ fn found_by(gpu: &mut GpuBackend, steps: u32) -> Found {
     Found {
         state,
         image: gpu.render(&camera(), &settings).unwrap(),
-        contributions: gpu.contributions(&[0, 1, 2], &settings).unwrap(),
-        weights: gpu.weigh(&[0, 1], &map_of, &settings).unwrap(),
+        weights: gpu.blending_weights(&[0, 1], &map_of, &settings).unwrap(),
         scores: gpu.score(&population, &[0, 1], &settings).unwrap(),
         losses: losses.iter().map(|view| [view.loss, view.squared_error]).collect(),
     }
@@ -67,7 +65,7 @@ fn a_kernel_that_forgets_its_first_tile_row_is_noticed() {
     let Some(mut gpu) = split_by(1) else { return };
     let expected = found_by(&mut gpu, 3);
     let kernels: Vec<_> = kernel_texts(gpu.engine.abilities).filter(|(_, text)| text.contains(FIRST_ROW)).collect();
-    assert_eq!(kernels.len(), 6);
+    assert_eq!(kernels.len(), 5);
     for (kernel, _) in kernels {
         let forgets = move |name: &str, text: String| {
             unrolled(&if name == kernel { text.replace(FIRST_ROW, "min(first_tile_row, 0u), 0u") } else { text })

@@ -1,17 +1,15 @@
 //! What training asks of the backend.
 
-use genesplat_core::backend::{McmcStep, MomentPolicy};
-use genesplat_core::{
-    BackendError, DeviceState, EvolutionBackend, Moments, Origin, Rng, RowEdit, SparseDelta, StateMean,
-};
+use genesplat_core::backend::McmcStep;
+use genesplat_core::{BackendError, DeviceState, Moments, Origin, Rng, RowEdit, SparseDelta, StateMean, Upload};
 
 use super::*;
-use crate::state::layout::LATE_STEPS_MAX;
+use crate::layout::LATE_STEPS_MAX;
 
 /// Both twins after the same verbs; clouds, moments and reports must agree.
-pub(super) fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn EvolutionBackend)) {
+pub(super) fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn Device)) {
     let mut cpu = cpu();
-    let twins: [&mut dyn EvolutionBackend; 2] = [gpu, &mut cpu];
+    let twins: [&mut dyn Device; 2] = [gpu, &mut cpu];
     let [actual, expected] = twins.map(|twin| {
         verbs(twin);
         twin.state().unwrap()
@@ -25,7 +23,7 @@ pub(super) fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut
 }
 
 /// Ten steps of everything that a step can do.
-pub(super) fn ten_steps(twin: &mut dyn EvolutionBackend, mcmc: Option<McmcStep>) {
+pub(super) fn ten_steps(twin: &mut dyn Device, mcmc: Option<McmcStep>) {
     let mut start = cloud(300);
     start.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit -= 6.0);
     twin.upload(start.into()).unwrap();
@@ -88,7 +86,7 @@ fn noise_matches() {
 }
 
 /// Steps of three views; then two views wait, while rows change.
-fn steps_of_several_views(twin: &mut dyn EvolutionBackend, forgets: bool) {
+fn steps_of_several_views(twin: &mut dyn Device, forgets: bool) {
     twin.set_views(&[view(), small_view()]).unwrap();
     twin.upload(filtered_cloud(300, ScreenFilter::Mip).into()).unwrap();
     let settings = settings(3, ScreenFilter::Mip);
@@ -101,7 +99,7 @@ fn steps_of_several_views(twin: &mut dyn EvolutionBackend, forgets: bool) {
     }
     let mut edit = RowEdit::keep((50..300).rev().collect());
     (0..20).for_each(|row| edit.push(row, Origin::Clone));
-    twin.edit_rows(&edit).unwrap();
+    twin.edit(Edit::Rows(&edit)).unwrap();
 }
 
 #[test]
@@ -111,7 +109,7 @@ fn steps_of_several_views_match() {
     twins_agree("adam", &mut gpu, |twin| steps_of_several_views(twin, false));
     let state = gpu.state().unwrap();
     assert!(state.moments.pending.sh.iter().any(|sum| sum[47] != 0.0), "two views wait");
-    gpu.upload(state.clone()).unwrap();
+    gpu.upload(state.clone().into()).unwrap();
     assert!(gpu.state().unwrap() == state, "all of it comes back");
     let mut other = cpu();
     steps_of_several_views(&mut other, true);
@@ -129,7 +127,7 @@ fn steps_over(gpu: &mut GpuBackend, left: f32) -> DeviceState {
     for number in 1..=9 {
         let waits = number > 3 && number % 3 != 0;
         let mut step = step(number, settings(2, ScreenFilter::Classic));
-        step.statistics.density = Some(DensitySignal::SignedAndAbsolute);
+        step.statistics.density = Some(DensitySignal::Absolute);
         step.update = step.update.filter(|_| !waits);
         gpu.train_step(&TrainStep { view: number as usize % 2, keeps_gradients: waits, ..step }).unwrap();
         let gradients = &gpu.state.gradients.memory;
@@ -156,7 +154,7 @@ fn gradients_that_wait_survive_an_overflow() {
 }
 
 /// Kept, cloned, split, relocated and pruned rows, then a reset, single genes, a filter and another step.
-pub(super) fn change_rows(twin: &mut dyn EvolutionBackend) {
+pub(super) fn change_rows(twin: &mut dyn Device) {
     twin.upload(cloud(300).into()).unwrap();
     twin.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
     let mut edit = RowEdit { rng: Rng::new(SEED), iteration: 600, ..RowEdit::keep((0..250).rev().collect()) };
@@ -167,18 +165,19 @@ pub(super) fn change_rows(twin: &mut dyn EvolutionBackend) {
     for (row, keep_moments) in [(3, true), (250, false)] {
         edit.push(row, Origin::Relocated { opacity_logit: -1.5, log_scale_shift: -0.25, keep_moments });
     }
-    twin.edit_rows(&edit).unwrap();
+    twin.edit(Edit::Rows(&edit)).unwrap();
     assert_eq!(twin.gaussian_count(), edit.sources.len());
-    twin.reset_opacity(0.01).unwrap();
+    twin.edit(Edit::OpacityCeiling(0.01)).unwrap();
     let mut delta = SparseDelta {
         rows: vec![2, 100, 305],
         genes: (0..3).map(|k| std::array::from_fn(|gene| uniform(k, gene) - 0.5)).collect(),
     };
     // Opaque to the last bit of f32, and so small that its filter dims it below any ceiling.
     delta.genes[1][3..].copy_from_slice(&[-9.0, -9.0, -9.0, 40.0]);
-    twin.apply(&delta, MomentPolicy::Zero).unwrap();
-    twin.set_filter_3d((0..twin.gaussian_count()).map(|row| 0.01 + 0.02 * uniform(row, 3)).collect()).unwrap();
-    twin.reset_opacity(0.005).unwrap();
+    twin.edit(Edit::Genes(&delta)).unwrap();
+    let filter = (0..twin.gaussian_count()).map(|row| 0.01 + 0.02 * uniform(row, 3)).collect();
+    twin.edit(Edit::Filter3d(filter)).unwrap();
+    twin.edit(Edit::OpacityCeiling(0.005)).unwrap();
 }
 
 #[test]
@@ -195,60 +194,46 @@ fn edits_match() {
     assert_eq!((actual.gradient_sum, actual.weight_sum), (expected.gradient_sum, expected.weight_sum));
 }
 
-/// Both twins of rows.
-fn push_twins(edit: &mut RowEdit, rows: std::ops::Range<u32>) {
-    for child in 0..2 {
-        rows.clone().for_each(|row| edit.push(row, Origin::Twin { child }));
+/// Both long-axis children of rows, `first` of them first.
+fn push_children(edit: &mut RowEdit, rows: std::ops::Range<u32>, first: u8) {
+    for child in [first, 1 - first] {
+        rows.clone().for_each(|row| edit.push(row, Origin::LongAxisChild { child }));
     }
 }
 
-/// Twins of half of the rows, among them opaque ones and such whose longest axis is not the only one.
-pub(super) fn make_twins(twin: &mut dyn EvolutionBackend) {
+/// Long-axis children of half of the rows, among them opaque ones and such whose longest axis is not the only one.
+pub(super) fn split_long_axes(twin: &mut dyn Device, first: u8) {
     let mut start = filtered_cloud(300, ScreenFilter::Mip);
     start.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = 12.0);
     for (row, scales) in [(200, [-1.0; 3]), (201, [-2.0, -1.0, -1.0]), (202, [-1.0, -2.0, -1.0])] {
         start.log_scales[row] = scales;
     }
     twin.upload(start.into()).unwrap();
-    twin.train_step(&step(1, settings(2, ScreenFilter::Mip))).unwrap();
     let mut edit = RowEdit::keep((0..150).collect());
-    push_twins(&mut edit, 150..300);
-    twin.edit_rows(&edit).unwrap();
+    push_children(&mut edit, 150..300, first);
+    twin.edit(Edit::Rows(&edit)).unwrap();
     assert_eq!(twin.gaussian_count(), 450);
 }
 
 #[test]
-fn edits_with_twins_match() {
-    let Some(mut gpu) = gpu() else { return };
-    twins_agree("edit", &mut gpu, make_twins);
-}
-
-/// Long-axis children of everything that [`make_twins`] has left.
-#[test]
 fn long_axis_splits_match() {
     let Some(mut gpu) = gpu() else { return };
-    let split = |twin: &mut dyn EvolutionBackend, origin: fn(u8) -> Origin| {
-        make_twins(twin);
-        let mut edit = RowEdit::new(Rng::new(SEED), 0);
-        (0..450).for_each(|row| (0..2).for_each(|child| edit.push(row, origin(child))));
-        twin.edit_rows(&edit).unwrap();
-    };
-    twins_agree("edit", &mut gpu, |twin| split(twin, |child| Origin::LongAxisChild { child }));
+    twins_agree("edit", &mut gpu, |twin| split_long_axes(twin, 0));
     let mut other = cpu();
-    split(&mut other, |child| Origin::LongAxisChild { child: 1 - child });
+    split_long_axes(&mut other, 1);
     let swapped = other.download().unwrap();
     assert!(compare_clouds("edit", &gpu.download().unwrap(), &swapped).is_err(), "each goes to its own side");
 }
 
-/// Twins of poison are poison at most; all others are what they would be without it.
+/// Children of poison are poison at most; all others are what they would be without it.
 #[test]
-fn poison_stays_with_its_twins() {
+fn poison_stays_with_its_children() {
     let Some(mut gpu) = gpu() else { return };
     let (poisoned, rows) = (poisoned_cloud(), 60);
     let mut edit = RowEdit::new(Rng::new(SEED), 0);
-    push_twins(&mut edit, 0..rows);
+    push_children(&mut edit, 0..rows, 0);
     gpu.upload(poisoned.clone().into()).unwrap();
-    gpu.edit_rows(&edit).unwrap();
+    gpu.edit(Edit::Rows(&edit)).unwrap();
     let logits = gpu.download().unwrap().opacity_logits.clone();
     for (&source, logit) in edit.sources.iter().zip(logits) {
         // Even where the opacity is zero.
@@ -256,9 +241,9 @@ fn poison_stays_with_its_twins() {
     }
     twins_agree("edit", &mut gpu, |twin| {
         twin.upload(poisoned.clone().into()).unwrap();
-        twin.edit_rows(&edit).unwrap();
+        twin.edit(Edit::Rows(&edit)).unwrap();
         let healthy = (0..2 * rows).filter(|row| row % rows >= 36 || row % 6 == 5);
-        twin.edit_rows(&RowEdit::keep(healthy.collect())).unwrap();
+        twin.edit(Edit::Rows(&RowEdit::keep(healthy.collect()))).unwrap();
     });
 }
 
@@ -283,24 +268,25 @@ fn a_loss_that_is_not_finite_is_reported_and_changes_nothing() {
     assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
 }
 
-/// Clearing gene gradients waits for the steps before it, and cannot return an error.
+/// Every verb that changes something waits for the steps before it.
 #[test]
-fn a_failure_met_by_a_verb_that_cannot_fail_is_that_of_the_next() {
+fn an_edit_after_a_step_that_fails_is_not_made() {
     let Some(mut gpu) = gpu() else { return };
     let poisoned = cloud_of_infinite_light();
-    let step = step(1, settings(0, ScreenFilter::Classic));
-    for next in 0..2 {
-        gpu.upload(poisoned.clone().into()).unwrap();
-        gpu.train_step(&step).unwrap();
-        gpu.clear_gene_gradients();
-        gpu.clear_gene_gradients();
-        let error = match next {
-            0 => gpu.train_step(&step).unwrap_err(),
-            _ => gpu.report().unwrap_err(),
-        };
-        assert!(matches!(error, BackendError::NonFinite { row: 20, .. }), "{error}");
-        assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
-    }
+    gpu.upload(poisoned.clone().into()).unwrap();
+    gpu.train_step(&step(1, settings(0, ScreenFilter::Classic))).unwrap();
+    let error = gpu.edit(Edit::OpacityCeiling(0.01)).unwrap_err();
+    assert!(matches!(error, BackendError::NonFinite { row: 20, .. }), "{error}");
+    assert_eq!(gpu.download().unwrap().opacity_logits, poisoned.opacity_logits);
+}
+
+#[test]
+fn a_cloud_made_by_rows_is_uploaded_whole() {
+    let Some(mut gpu) = gpu() else { return };
+    let all = cloud(70);
+    let part = |rows: std::ops::Range<usize>| all.gather(&rows.map(|row| row as u32).collect::<Vec<_>>());
+    gpu.upload(Upload::Rows { count: 70, part: &part }).unwrap();
+    assert_eq!(*gpu.download().unwrap(), all);
 }
 
 #[test]
@@ -316,7 +302,7 @@ fn uploads_come_back(gpu: &mut GpuBackend) {
     let cloud = filtered_cloud(130, ScreenFilter::Mip);
     let moments = Moments { first: super::cloud(130), second: super::cloud(130), pending: Gaussians::default() };
     let state = DeviceState { cloud: cloud.clone(), moments, ..DeviceState::default() };
-    gpu.upload(state.clone()).unwrap();
+    gpu.upload(state.clone().into()).unwrap();
     assert_eq!(*gpu.download().unwrap(), cloud);
     assert_eq!(gpu.genes().unwrap(), cloud.all_genes());
     let held = gpu.state().unwrap();
@@ -324,16 +310,16 @@ fn uploads_come_back(gpu: &mut GpuBackend) {
     assert_eq!(held.statistics.gradient_sum, [0.0; 130]);
     assert_eq!(held.mean, StateMean::default());
     let mut step = step(1, settings(1, ScreenFilter::Mip));
-    step.statistics.density = Some(DensitySignal::SignedAndAbsolute);
+    step.statistics.density = Some(DensitySignal::Absolute);
     gpu.train_step(&step).unwrap();
     let stepped = gpu.state().unwrap();
     assert_eq!(gpu.statistics().unwrap(), stepped.statistics);
-    gpu.clear_gene_gradients();
+    gpu.edit(Edit::ForgetGeneGradients).unwrap();
     let cleared = gpu.statistics().unwrap();
     assert!(cleared.gene_views.is_empty() && cleared.gene_gradient_sum.is_empty());
     assert_eq!(cleared.gradient_sum, stepped.statistics.gradient_sum, "density columns stay");
     let statistics = stepped.statistics.clone();
-    gpu.upload(stepped).unwrap();
+    gpu.upload(stepped.into()).unwrap();
     assert_eq!(gpu.statistics().unwrap(), statistics);
 }
 

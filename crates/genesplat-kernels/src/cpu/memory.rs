@@ -4,9 +4,8 @@
 //! is taken to have at most twice as many as the one before, and what depends on them most, the gradient rows, is asked
 //! for when they are known.
 
-use genesplat_core::backend::NO_SNAPSHOT;
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{BackendError, Contribution, Gaussians, Held, Snapshot, SparseDelta};
+use genesplat_core::{BackendError, Gaussians, Held, SparseDelta};
 
 use super::backend::CpuBackend;
 use super::blend::gradient_row::GradientRow;
@@ -22,17 +21,11 @@ const INTERSECTION: usize = 32 + size_of::<GradientRow>();
 /// Intersections of a row, as long as no view tells.
 const PER_ROW: usize = 4;
 /// Sums for density control and evolution, and how many steps a row's colour has made.
-const STATISTICS: usize = 45;
+const STATISTICS: usize = 41;
 /// Working pictures of a photo's loss, for each pixel.
 const PHOTO_LOSS: usize = 64;
 /// A row version, its splat, and its holders.
 const VERSION: usize = 64 + ROW + 16;
-
-/// Bytes of a copy.
-fn bytes_of(snapshot: &Snapshot) -> usize {
-    let tables = [&snapshot.cloud, &snapshot.moments.first, &snapshot.moments.second, &snapshot.moments.pending];
-    tables.into_iter().map(Gaussians::len).sum::<usize>() * Gaussians::BYTES_PER_ROW
-}
 
 impl ViewBuffers {
     /// Fails where there is no room to draw so many splats on so many tiles.
@@ -91,21 +84,7 @@ impl CpuBackend {
     /// A copy of all that is held but the views.
     pub(super) fn ensure_state(&self) -> Result<(), BackendError> {
         let clouds = self.clouds_held() + usize::from(self.mean.states() > 0);
-        let state = self.rows() * (clouds * Gaussians::BYTES_PER_ROW + STATISTICS);
-        ensure_memory(state + self.snapshot.as_ref().map_or(0, bytes_of), "a checkpoint")
-    }
-
-    /// A copy of the cloud and its moments.
-    pub fn ensure_snapshot(&self) -> Result<(), BackendError> {
-        ensure_memory(self.rows() * self.clouds_held() * Gaussians::BYTES_PER_ROW, "a copy to go back to")
-    }
-
-    /// What goes with the rows of the snapshot; they themselves are moved. Moments that training's end has freed are made
-    /// anew.
-    pub fn ensure_roll_back(&self) -> Result<(), BackendError> {
-        let snapshot = self.snapshot.as_ref().expect(NO_SNAPSHOT);
-        let moments = if snapshot.moments.first.is_empty() { 2 * Gaussians::BYTES_PER_ROW } else { 0 };
-        ensure_memory(snapshot.cloud.len() * (moments + STATISTICS), "statistics")
+        ensure_memory(self.rows() * (clouds * Gaussians::BYTES_PER_ROW + STATISTICS), "a checkpoint")
     }
 
     pub(super) fn ensure_statistics(&self) -> Result<(), BackendError> {
@@ -124,11 +103,6 @@ impl CpuBackend {
     /// A weight of each row in so many views.
     pub(super) fn ensure_weights(&self, views: usize) -> Result<(), BackendError> {
         ensure_memory(self.rows() * views * size_of::<f32>(), "weights of views")
-    }
-
-    pub(super) fn ensure_contributions(&self, views: &[usize]) -> Result<(), BackendError> {
-        self.ensure_views(views)?;
-        ensure_memory(self.rows() * size_of::<Contribution>(), "contributions")
     }
 
     /// Pools of at most so many individuals, differences from so many rows, two views at a time, and the photos that are scored

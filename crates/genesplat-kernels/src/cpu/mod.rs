@@ -6,7 +6,6 @@
 mod backend;
 mod bin;
 mod blend;
-mod evolution_backend;
 mod loss;
 mod memory;
 mod roofline;

@@ -1,9 +1,8 @@
 //! The verbs of [`CpuBackend`] in pieces, for one that holds a share of a cloud (see [`super::stages`]).
 
 use fearless_simd::Level;
-use genesplat_core::backend::NO_SNAPSHOT;
 use genesplat_core::{
-    BackendError, DeviceState, Gaussians, Held, RenderSettings, Snapshot, SparseDelta, StatisticsRequest, TrainStep,
+    BackendError, DeviceState, Gaussians, Held, RenderSettings, SparseDelta, StatisticsRequest, TrainStep,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -37,35 +36,15 @@ impl CpuBackend {
     pub fn take_state(&mut self) -> DeviceState {
         let (cloud, moments) = self.trained.take(self.level);
         let (statistics, mean) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.mean));
-        DeviceState { cloud, moments, statistics, mean, snapshot: self.snapshot.take() }
+        DeviceState { cloud, moments, statistics, mean }
     }
 
     /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
     pub fn put_state(&mut self, state: DeviceState) {
-        let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
+        let DeviceState { cloud, moments, statistics, mean } = state;
         self.trained = Trained::new(cloud, moments);
-        (self.statistics, self.mean, self.snapshot) = (statistics, mean, snapshot);
+        (self.statistics, self.mean) = (statistics, mean);
         self.grow_statistics(StatisticsRequest::default());
-    }
-
-    /// A copy of the cloud and its moments.
-    pub fn snapshot(&mut self) -> Snapshot {
-        let (cloud, moments) = self.trained.settled(self.level);
-        Snapshot { cloud: cloud.clone(), moments: moments.clone().or_zeros(cloud.len()) }
-    }
-
-    /// From now on the snapshot is this one.
-    pub fn keep(&mut self, snapshot: Snapshot) {
-        self.snapshot = Some(snapshot);
-    }
-
-    /// The rows that there are after a roll-back.
-    ///
-    /// # Panics
-    ///
-    /// Where there is no snapshot.
-    pub fn snapshot_rows(&self) -> usize {
-        self.snapshot.as_ref().expect(NO_SNAPSHOT).cloud.len()
     }
 
     /// The splats of the rows held, or of their mean.
@@ -121,10 +100,5 @@ impl CpuBackend {
         self.ensure_scores(cloud.len(), population, views)?;
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
         Ok(self.scorer.score(self.level, cloud, population, (views, all), of_view, settings)?)
-    }
-
-    /// Fails where there is no room for a contribution of each row held.
-    pub fn ensure_contribution_sums(&self) -> Result<(), BackendError> {
-        self.ensure_contributions(&[])
     }
 }

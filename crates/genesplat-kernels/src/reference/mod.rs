@@ -7,9 +7,9 @@
 //! al. 2024 (Pixel-GS). Where released code departs from its own formulas, the module concerned says what is followed.
 
 pub mod adam;
+pub mod blending_weights;
 pub mod cloud;
 pub mod colour;
-pub mod contribution;
 pub mod covariance;
 pub mod cutoff;
 pub mod loss;
@@ -26,8 +26,8 @@ use project_backward::project_backward;
 use rasterise_backward::rasterise_backward;
 
 pub use adam::{Moments64, adam};
+pub use blending_weights::blending_weights;
 pub use cloud::Cloud64;
-pub use contribution::{contribution, weigh};
 pub use cutoff::Cutoff;
 pub use loss::{loss, loss_of_view};
 pub use project::{Splat, Symmetric2};

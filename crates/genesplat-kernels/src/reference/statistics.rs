@@ -15,8 +15,6 @@ pub struct Statistics64 {
     pub gradient_sum: Vec<f64>,
     /// Sum of its weights `[N]`.
     pub weight_sum: Vec<f64>,
-    /// Sum of absolute gradients, for [`DensitySignal::SignedAndAbsolute`] `[N]`.
-    pub absolute_sum: Vec<f64>,
     /// Sum of signed gene gradients `[N, 7]`.
     pub gene_gradient_sum: Vec<[f64; GENES]>,
     /// Views that contributed to `gene_gradient_sum` `[N]`.
@@ -29,7 +27,6 @@ impl Statistics64 {
         Self {
             gradient_sum: vec![0.0; n],
             weight_sum: vec![0.0; n],
-            absolute_sum: vec![0.0; n],
             gene_gradient_sum: vec![[0.0; GENES]; n],
             gene_views: vec![0; n],
         }
@@ -42,10 +39,6 @@ impl Statistics64 {
                 let (strength, weight) = density(gradients, row, signal);
                 self.gradient_sum[row] += weight * strength;
                 self.weight_sum[row] += weight;
-                if signal == DensitySignal::SignedAndAbsolute {
-                    let [x, y] = gradients.mean2d_abs_ndc[row];
-                    self.absolute_sum[row] += x + y;
-                }
             }
             if request.genes && gradients.reached[row] {
                 let Cloud64 { positions, log_scales, opacity_logits, .. } = &gradients.cloud;
@@ -62,7 +55,7 @@ impl Statistics64 {
 fn density(gradients: &Gradients, row: usize, signal: DensitySignal) -> (f64, f64) {
     let norm = |[x, y]: [f64; 2]| x.hypot(y);
     match signal {
-        DensitySignal::Signed | DensitySignal::SignedAndAbsolute => (norm(gradients.mean2d_ndc[row]), 1.0),
+        DensitySignal::Signed => (norm(gradients.mean2d_ndc[row]), 1.0),
         DensitySignal::Absolute => (norm(gradients.mean2d_abs_ndc[row]), 1.0),
         DensitySignal::PixelWeighted { depth_threshold } => {
             let near = (gradients.depth[row] / f64::from(depth_threshold)).powi(2).min(1.0);

@@ -101,7 +101,7 @@ fn prune(edit: &mut RowEdit, genes: &[Genes], prune_opacity: f32, prune_size: Op
         let row = source as usize;
         let opacity_logit = opacity_logit(&genes[row]);
         let faint = sigmoid(opacity_logit) < prune_opacity;
-        let new_size = size(new_log_scale(log_scales(&genes[row]), opacity_logit, origin));
+        let new_size = size(new_log_scale(log_scales(&genes[row]), origin));
         if !faint && prune_size.is_none_or(|limit| new_size <= limit) {
             edit.push(source, origin);
         }

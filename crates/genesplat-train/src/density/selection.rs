@@ -11,9 +11,7 @@
 
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::genes::opacity_logit;
-use genesplat_core::{
-    BackendError, EvolutionBackend, Genes, Origin, RenderSettings, Rng, RowEdit, Statistics, Stream, View,
-};
+use genesplat_core::{BackendError, Device, Genes, Origin, RenderSettings, Rng, RowEdit, Statistics, Stream, View};
 
 use super::Plan;
 use super::edges::edges;
@@ -111,7 +109,7 @@ pub(crate) fn views_of_turn(views: usize, wanted: usize, first: u32, rng: Rng) -
 /// How much each Gaussian stands for the edges of `shown`, which are some of the training views `[N]`: its blending weights
 /// times the edge at each pixel, in multiples of the mean of all Gaussians that have any; the mean over these views.
 pub fn edge_scores(
-    backend: &mut dyn EvolutionBackend,
+    backend: &mut dyn Device,
     views: &[View],
     shown: &[usize],
     settings: &RenderSettings,
@@ -120,7 +118,7 @@ pub fn edge_scores(
     let edges_of = |view: usize| Ok(edges(&*views[view].photo.read()?, views[view].mask.as_deref()));
     let at_once = (WEIGHTS_BYTES / (size_of::<f32>() * sums.len()).max(1)).max(1);
     for shown in shown.chunks(at_once) {
-        let weights = backend.weigh(shown, &edges_of, settings)?;
+        let weights = backend.blending_weights(shown, &edges_of, settings)?;
         weights.iter().for_each(|of_view| add_in_multiples_of_the_mean(of_view, &mut sums));
     }
     Ok(sums.into_iter().map(|sum| (sum / shown.len().max(1) as f64) as f32).collect())

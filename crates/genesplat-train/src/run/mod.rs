@@ -6,7 +6,7 @@ pub mod observe;
 mod rescue;
 pub(crate) mod trainer;
 
-use genesplat_core::{Backend, BackendError, Gaussians};
+use genesplat_core::{BackendError, Device, Gaussians};
 use serde::{Deserialize, Serialize};
 
 use crate::method::MethodName;
@@ -59,7 +59,7 @@ pub struct RunSummary {
 
 impl RunSummary {
     /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no step.
-    pub fn checkpoint_at_end(&self, backend: &mut dyn Backend) -> Result<Checkpoint, TrainError> {
+    pub fn checkpoint_at_end(&self, backend: &mut dyn Device) -> Result<Checkpoint, TrainError> {
         let progress = Progress {
             sh_degree_start: 0,
             steps: self.optimiser_steps,

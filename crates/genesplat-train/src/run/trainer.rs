@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use genesplat_core::{
-    BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng, Sight,
-    StatisticsRequest, Stream, TrainStep, Update, View,
+    BackendError, DensitySignal, Device, Gaussians, Genes, LearningRates, RenderSettings, Rng, Sight,
+    StatisticsRequest, Stream, TrainStep, Update, Upload, View, device::copy_of,
 };
 
 use super::checkpoint::{Checkpoint, Cursor, Progress};
@@ -80,7 +80,7 @@ pub(crate) struct Told {
 
 /// A run under way.
 pub(crate) struct Trainer<'a> {
-    pub(crate) backend: &'a mut dyn EvolutionBackend,
+    pub(crate) backend: &'a mut dyn Device,
     pub(crate) observer: &'a mut dyn Observer,
     pub(crate) stop: &'a AtomicBool,
     pub(crate) run: Run<'a>,
@@ -91,7 +91,7 @@ pub(crate) struct Trainer<'a> {
 
 impl<'a> Trainer<'a> {
     pub(crate) fn new(
-        backend: &'a mut dyn EvolutionBackend,
+        backend: &'a mut dyn Device,
         views: &'a [View],
         schedule: &'a Schedule,
         observer: &'a mut dyn Observer,
@@ -169,7 +169,7 @@ impl<'a> Trainer<'a> {
             cloud.filter_3d = filter.as_ref().map(|filter| filter[rows].to_vec());
             cloud
         };
-        self.backend.upload_rows(seeds.len(), &part)?;
+        self.backend.upload(Upload::Rows { count: seeds.len(), part: &part })?;
         Ok(Cursor::start_of(1))
     }
 
@@ -198,7 +198,7 @@ impl<'a> Trainer<'a> {
         if self.visits.virtual_views.are_shown() {
             self.backend.set_views(&self.visits.virtual_views.after(self.run.views))?;
         }
-        self.backend.upload(checkpoint.state)?;
+        self.backend.upload(checkpoint.state.into())?;
         self.place.progress = checkpoint.progress;
         self.told.has_seen = checkpoint.cursor.iteration > 1;
         self.told.cap = self.run.cap.get().is_some_and(|cap| self.backend.gaussian_count() >= cap);
@@ -269,7 +269,7 @@ impl<'a> Trainer<'a> {
         if is_over {
             self.backend.end_training()?;
         }
-        let cloud = self.backend.copy()?;
+        let cloud = copy_of(self.backend)?;
         check_finite(&cloud, self.place.progress.steps)?;
         Ok(cloud)
     }

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{Backend, BackendError, Camera, Image, Photo, RenderSettings, Rng, Stream, View};
+use genesplat_core::{BackendError, Camera, Device, Image, Photo, RenderSettings, Rng, Stream, View};
 
 use super::views::ViewOrder;
 use crate::schedule::Schedule;
@@ -103,7 +103,7 @@ impl VirtualViews {
     /// what it has shown. Does nothing in a run without virtual views.
     pub(crate) fn refresh(
         &mut self,
-        backend: &mut dyn Backend,
+        backend: &mut dyn Device,
         photos: &[View],
         settings: &RenderSettings,
         i: u32,
@@ -119,11 +119,11 @@ impl VirtualViews {
 
     fn looked_at(
         &self,
-        backend: &mut dyn Backend,
+        backend: &mut dyn Device,
         settings: &RenderSettings,
         i: u32,
     ) -> Result<Vec<Arc<Photo>>, BackendError> {
-        let look = |backend: &mut dyn Backend, index: usize| -> Result<_, BackendError> {
+        let look = |backend: &mut dyn Device, index: usize| -> Result<_, BackendError> {
             let shown = backend.render(&self.views[index].camera, settings)?;
             let old = self.pictures.get(index).map(Arc::as_ref);
             Ok(Arc::new(blended(old, &shown, &self.rng, [i, index as u32])))

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{EvolutionBackend, Gaussians, StatisticsRequest, View};
+use genesplat_core::{Device, Gaussians, StatisticsRequest, View};
 use genesplat_evolve::GeneticConfig;
 
 use super::GeneticSearch;
@@ -19,7 +19,7 @@ use crate::timeline::Event;
 /// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped
 /// returns the best it has; there is nothing to resume.
 pub fn search(
-    backend: &mut dyn EvolutionBackend,
+    backend: &mut dyn Device,
     views: &[View],
     cloud: Gaussians,
     schedule: &Schedule,

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use genesplat_core::{BackendError, EvolutionBackend, RenderSettings, SparseDelta};
+use genesplat_core::{BackendError, Device, RenderSettings, SparseDelta};
 use genesplat_evolve::{GeneticAlgorithm, GeneticConfig};
 
 use crate::run::TrainError;
@@ -22,11 +22,7 @@ pub(crate) struct Fitness {
 
 impl Fitness {
     /// Mean of Eq. 5 over the views, for each individual.
-    fn losses(
-        &self,
-        backend: &mut dyn EvolutionBackend,
-        individuals: &[SparseDelta],
-    ) -> Result<Vec<f64>, BackendError> {
+    fn losses(&self, backend: &mut dyn Device, individuals: &[SparseDelta]) -> Result<Vec<f64>, BackendError> {
         let losses = backend.score(individuals, &self.views, &self.settings)?;
         let mean = |views: &[f32]| views.iter().map(|&loss| f64::from(loss)).sum::<f64>() / views.len() as f64;
         Ok(losses.chunks_exact(self.views.len()).map(mean).collect())

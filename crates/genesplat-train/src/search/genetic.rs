@@ -6,7 +6,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::backend::MomentPolicy;
+use genesplat_core::Edit;
 use genesplat_core::{BackendError, SparseDelta, Statistics};
 use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
 
@@ -70,12 +70,12 @@ impl Stage for GeneticSearch {
 
     fn finish(self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
         if let Some(better) = self.algorithm.best() {
-            trainer.backend.apply(better, MomentPolicy::Keep)?;
+            trainer.backend.edit(Edit::Genes(better))?;
             record.changed = better.rows.len();
         }
         // The next stage sums them anew.
         if self.algorithm.config().uses_gradients() {
-            trainer.backend.clear_gene_gradients();
+            trainer.backend.edit(Edit::ForgetGeneGradients)?;
         }
         Ok(())
     }
@@ -84,7 +84,7 @@ impl Stage for GeneticSearch {
 /// Changes what individuals are differences from. An empty change is not passed on: what scoring has prepared would be
 /// lost.
 fn move_cloud(trainer: &mut Trainer, shift: &SparseDelta) -> Result<(), BackendError> {
-    if shift.is_empty() { Ok(()) } else { trainer.backend.apply(shift, MomentPolicy::Keep) }
+    if shift.is_empty() { Ok(()) } else { trainer.backend.edit(Edit::Genes(shift)) }
 }
 
 /// What `u_i` of Eq. 4 is made from; `None` when no step has summed it.

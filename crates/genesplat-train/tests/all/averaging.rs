@@ -1,20 +1,19 @@
-//! Weight averaging: the mean of a window's states replaces the last one unless it lags behind, and survives a stop.
+//! Weight averaging: the mean of the last states replaces the last one unless it lags behind, and survives a stop.
 
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, Held};
-use genesplat_train::{Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
+use genesplat_train::{MethodName, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
 
-use crate::support::{Call, FakeBackend, StopAt, points, resumed, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, resumed, timeless, views};
 
-/// 300 iterations without renewals: the last 120 are the window.
+/// 600 iterations, the last 240 of which are averaged.
 fn config() -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
-    (config.densify.every, config.densify.reset_every) = (1, 30);
+    let mut config = TrainConfig { steps_scale: 0.02, ..TrainConfig::of(MethodName::ThreeDgs) };
+    (config.method.densify_every, config.method.reset_every) = (1, 60);
     // Still in motion at the end, by more than rounding.
-    config.optimiser.position_end = Some(1e-2);
-    (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, Some(0.0));
-    config.evolution.renewal.selection = false;
+    config.method.position_rate_end = 1e-2;
+    config.method.averaging = true;
     config
 }
 
@@ -36,8 +35,8 @@ fn taken(backend: &FakeBackend) -> Vec<u32> {
     backend.calls.iter().filter_map(taken).collect()
 }
 
-/// Of the window: every third iteration, but for the run's last one, which makes no step.
-const STATES: u32 = 39;
+/// Every third iteration, but for the run's last one, which makes no step.
+const STATES: u32 = 79;
 
 fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
     let positions = &outcome.cloud.positions;
@@ -45,14 +44,14 @@ fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
 }
 
 #[test]
-fn a_better_mean_replaces_the_cloud_at_the_end_of_the_window() {
+fn a_better_mean_replaces_the_cloud_at_the_end_of_the_run() {
     let mut backend = backend();
     let outcome = run_with(&config(), &mut backend);
     let [stage] = outcome.summary.stages[..] else { panic!("{:?}", outcome.summary.stages) };
     let [before, after] = stage.guard_psnr.unwrap();
     assert!(stage.fitness_after < stage.fitness_before && after > before, "{stage:?}");
     // The cloud and the mean on three guards.
-    assert_eq!((stage.iteration, stage.generations, stage.changed, stage.renders), (300, 0, 20, 2 * 3));
+    assert_eq!((stage.iteration, stage.generations, stage.changed, stage.renders), (600, 0, 20, 2 * 3));
     assert_eq!(stage.kind, StageKind::Averaging);
     assert_eq!(taken(&backend), [STATES]);
     let found = mean_squared_distance(&outcome, backend.target);
@@ -72,13 +71,13 @@ fn guards_refuse_a_mean_that_lags_behind_and_no_other() {
         let [stage] = outcome.summary.stages[..] else { panic!("{:?}", outcome.summary.stages) };
         let [before, after] = stage.guard_psnr.unwrap();
         assert!((before - after - loss_db).abs() < 0.01, "{stage:?}");
-        assert_eq!(backend.state().unwrap().mean.states(), 0, "a window that follows averages anew");
+        assert_eq!(backend.state().unwrap().mean.states(), 0, "it is no longer needed");
         assert_eq!(stage.fitness_after == stage.fitness_before, stage.changed == 0, "a refused mean changes nothing");
         (outcome.cloud, stage.changed)
     };
     assert_eq!(by(0.55), (agreeing.cloud, 20), "worse on photos that it has seen, as means are");
     let mut without = config();
-    without.evolution.renewal.averaging = false;
+    without.method.averaging = false;
     assert_eq!(by(0.65), (run_with(&without, &mut backend()).cloud, 0), "a run that still learns fast");
 }
 
@@ -105,7 +104,7 @@ fn few_views_are_enough_and_what_cannot_be_rendered_is_an_error() {
     assert_eq!(train_on(&mut backend(), 2).unwrap().summary.stages.len(), 1);
     let mut poisoned = backend();
     poisoned.poison = Some(f32::NAN);
-    assert!(matches!(train_on(&mut poisoned, 8), Err(TrainError::NoFitness { iteration: 300, .. })));
+    assert!(matches!(train_on(&mut poisoned, 8), Err(TrainError::NoFitness { iteration: 600, .. })));
 }
 
 #[test]
@@ -131,7 +130,7 @@ fn interrupted(backend: &mut FakeBackend, observer: &mut dyn Observer, stop: &At
 fn a_stop_between_averaged_states_changes_nothing() {
     let whole = run_with(&config(), &mut backend());
     assert!(whole.summary.stages.iter().all(|stage| stage.changed > 0), "a lost state would show");
-    for i in [155, 182, 183, 199, 240, 299] {
+    for i in [310, 362, 363, 364, 399, 480, 599] {
         let stop = AtomicBool::new(false);
         let resumed = interrupted(&mut backend(), &mut StopAt(i, &stop), &stop);
         assert_eq!(resumed.cloud, whole.cloud, "stopped in iteration {i}");
@@ -141,9 +140,34 @@ fn a_stop_between_averaged_states_changes_nothing() {
 #[test]
 fn without_averaging_nothing_is_averaged() {
     let mut config = config();
-    config.evolution.renewal.averaging = false;
+    config.method.averaging = false;
     let mut backend = backend();
     let outcome = run_with(&config, &mut backend);
     assert!(outcome.summary.stages.is_empty());
     assert!(!backend.calls.iter().any(|call| matches!(call, Call::AddToMean | Call::TakeMean { .. })));
+}
+
+#[test]
+fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
+    // Guards whose score depends on the cloud alone, so that whoever resumes hears the same.
+    let device = || {
+        let mut device = backend();
+        device.queues = true;
+        device
+    };
+    let mut untroubled = device();
+    let whole = run_with(&config(), &mut untroubled);
+    assert_eq!((taken(&untroubled), whole.summary.stages.len()), (vec![STATES], 1));
+    // The first calls fill the device; nothing is to be saved of them.
+    for call in (3..=untroubled.fallible).filter(|call| call % 5 == 0 || call + 20 > untroubled.fallible) {
+        let (mut failing, mut keep) = (device(), Keep::default());
+        failing.failure = Some((call, Failure::OutOfMemory));
+        let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
+        train(&mut failing, &views(12), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
+        let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
+        let go_on = AtomicBool::new(false);
+        let outcome = train(&mut device(), &views(12), resumed(checkpoint), &config, &mut Silent, &go_on).unwrap();
+        assert_eq!(outcome.cloud, whole.cloud, "call {call}");
+        assert_eq!(timeless(&outcome), timeless(&whole), "call {call}");
+    }
 }

@@ -1,4 +1,5 @@
-//! Improved-GS: its scores, its phases, its steps of several views, and a run that is stopped among them.
+//! Improved-GS, and what ours has of it: its scores, its phases, its steps of several views, and a run that is stopped among
+//! them.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -6,14 +7,14 @@ use std::sync::atomic::AtomicBool;
 use genesplat_core::gaussians::logit;
 use genesplat_core::{Backend, DensitySignal, Origin, RenderSettings, RowEdit};
 use genesplat_train::scene::initialise::cloud_from_points;
-use genesplat_train::{EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, edge_scores, train};
+use genesplat_train::{MethodName, Outcome, Silent, Start, TrainConfig, edge_scores, train};
 
 use crate::support::{Call, FakeBackend, Told, points, resumed, views};
 
 /// A hundredth of the published schedule, its intervals included, but for the time that opacities have to recover.
 fn config() -> TrainConfig {
-    let mut config = TrainConfig { variant: Variant::ImprovedGs, steps_scale: 0.01, ..TrainConfig::published() };
-    (config.densify.every, config.densify.reset_every) = (1, 30);
+    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::of(MethodName::ImprovedGs) };
+    (config.method.densify_every, config.method.reset_every) = (1, 30);
     config.max_gaussians = Some(100);
     config
 }
@@ -93,8 +94,8 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
     let mut backend = backend();
     // All points begin at an opacity of 0.1, and drift a little; resets leave 0.05.
     let mut config = TrainConfig { steps_scale: 1.0, iterations: 6500, ..config() };
-    (config.densify.every, config.densify.reset_every) = (100, 3000);
-    (config.max_gaussians, config.optimiser.opacity) = (Some(20), Some(0.0));
+    (config.method.densify_every, config.method.reset_every) = (100, 3000);
+    (config.max_gaussians, config.method.opacity_rate) = (Some(20), 0.0);
     run(&mut backend, config);
     let resets: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::ResetOpacity(_))).collect();
     assert_eq!(resets, [&Call::ResetOpacity(0.05); 2]);
@@ -102,12 +103,25 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
     let size = |i| sizes.iter().find(|(iteration, _)| *iteration == i).unwrap().1;
     assert_eq!([3200, 3300, 6200, 6300, 6400].map(size), [20, 16, 16, 13, 13], "a fifth each time");
     // All 23 views the next time.
-    let at = |i| backend.calls.iter().position(|call| matches!(call, Call::Edit(edit) if edit.iteration == i)).unwrap();
-    let weighed = |i: u32| {
-        let calls = backend.calls[at(i - 100)..at(i)].iter();
-        calls.map(|call| if let Call::Weigh { views, .. } = call { views.len() } else { 0 }).sum::<usize>()
-    };
-    assert_eq!([3300, 3400, 3500, 6400].map(weighed), [10, 23, 10, 23]);
+    assert_eq!([3300, 3400, 3500, 6400].map(|i| weighed(&backend, i)), [10, 23, 10, 23]);
+}
+
+/// Views that had a say in the densification of iteration `i`; there is one in every hundredth.
+fn weighed(backend: &FakeBackend, i: u32) -> usize {
+    let at = |i| backend.calls.iter().position(|call| matches!(call, Call::Edit(edit) if edit.iteration == i));
+    let calls = backend.calls[at(i - 100).unwrap_or(0)..at(i).unwrap()].iter();
+    calls.map(|call| if let Call::Weigh { views, .. } = call { views.len() } else { 0 }).sum()
+}
+
+/// With tens of thousands of photos, all would take longer than the whole run.
+#[test]
+fn ours_asks_no_more_views_than_a_fiftieth_of_the_steps() {
+    let mut backend = backend();
+    let config = TrainConfig { iterations: 700, max_gaussians: Some(100), ..TrainConfig::default() };
+    run(&mut backend, config);
+    assert!(backend.calls.contains(&Call::ResetOpacity(0.05)));
+    // What was slow after the reset of iteration 100 is pruned in iteration 200.
+    assert_eq!([100, 200, 300].map(|i| weighed(&backend, i)), [10, 10, 14]);
 }
 
 /// Half of the cloud, where a fifth is the least.
@@ -115,8 +129,8 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
 fn all_that_is_faint_after_a_reset_is_pruned() {
     let mut backend = backend();
     let mut config = TrainConfig { steps_scale: 1.0, iterations: 3400, ..config() };
-    (config.densify.every, config.densify.reset_every) = (100, 3000);
-    (config.max_gaussians, config.optimiser.opacity) = (Some(20), Some(0.0));
+    (config.method.densify_every, config.method.reset_every) = (100, 3000);
+    (config.max_gaussians, config.method.opacity_rate) = (Some(20), 0.0);
     let mut cloud = cloud_from_points(&points(20)).unwrap();
     cloud.opacity_logits[..10].fill(logit(0.015));
     go(&mut backend, Start::Cloud(cloud), config, &AtomicBool::new(false));
@@ -128,8 +142,8 @@ fn all_that_is_faint_after_a_reset_is_pruned() {
 #[test]
 fn the_limit_is_reached_when_the_budget_is_full_and_not_before() {
     let mut config = TrainConfig { steps_scale: 1.0, iterations: 8500, ..config() };
-    (config.densify.every, config.densify.reset_every, config.densify.until) = (100, 3000, 8000);
-    config.optimiser.opacity = Some(0.0);
+    (config.method.densify_every, config.method.reset_every, config.method.densify_until) = (100, 3000, 8000);
+    config.method.opacity_rate = 0.0;
     let (mut told, start) = (Told::default(), Start::Points(points(20)));
     let (config, stop) = (config.resolve().unwrap(), AtomicBool::new(false));
     train(&mut backend(), &views(23), start, &config, &mut told, &stop).unwrap();
@@ -155,36 +169,33 @@ fn late_steps_have_the_gradients_of_several_views() {
     assert_eq!(steps[0].update.unwrap().rates.opacity, 0.025);
 }
 
+/// Ours, which looks at virtual views, too.
+fn ours() -> TrainConfig {
+    let mut config = TrainConfig { iterations: 1000, max_gaussians: Some(100), ..TrainConfig::default() };
+    config.method.virtual_views = 1;
+    config
+}
+
 #[test]
 fn a_run_that_is_stopped_anywhere_ends_as_if_it_had_not_been() {
-    for mode in [EvolutionMode::Off, EvolutionMode::Renew] {
-        let config = || {
-            let mut config = config();
-            config.evolution.mode = mode;
-            config.evolution.renewal.virtual_views = Some(true);
-            config
-        };
+    for (config, every) in [(config(), 11), (ours(), 31)] {
+        let (is_ours, method) = (config.method.name == MethodName::Genesplat, config.method.name);
         let mut first = backend();
-        let whole = run(&mut first, config());
+        let whole = run(&mut first, config.clone());
         let (mut waiting, mut between) = (0, 0);
-        for call in (1..first.fallible).step_by(11) {
+        for call in (1..first.fallible).step_by(every) {
             let (mut stopped, stop) = (backend(), Arc::new(AtomicBool::new(false)));
             stopped.stop_in_call = Some((call, stop.clone()));
-            let cut = go(&mut stopped, Start::Points(points(20)), config(), &stop);
+            let cut = go(&mut stopped, Start::Points(points(20)), config.clone(), &stop);
             let Some(checkpoint) = cut.checkpoint else { continue };
             waiting += u32::from(checkpoint.state.moments.pending.positions.iter().any(|sum| sum[0] != 0.0));
             between += u32::from(!checkpoint.virtual_pictures.is_empty());
-            let resumed = go(&mut backend(), resumed(&checkpoint), config(), &AtomicBool::new(false));
-            assert_eq!(resumed.cloud, whole.cloud, "{mode:?}, stopped in call {call}");
+            let resumed = go(&mut backend(), resumed(&checkpoint), config.clone(), &AtomicBool::new(false));
+            assert_eq!(resumed.cloud, whole.cloud, "{method}, stopped in call {call}");
             assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps);
         }
-        assert_eq!(
-            between > 3,
-            mode == EvolutionMode::Renew,
-            "{mode:?}: pictures of virtual views in {between} checkpoints"
-        );
+        assert_eq!(between > 3, is_ours, "{method}: pictures of virtual views in {between} checkpoints");
         // With averages every step is of one view.
-        let waits = mode == EvolutionMode::Off;
-        assert_eq!(waiting > 3, waits, "{mode:?}: gradients waited for a step in {waiting} checkpoints");
+        assert_eq!(waiting > 3, !is_ours, "{method}: gradients waited for a step in {waiting} checkpoints");
     }
 }

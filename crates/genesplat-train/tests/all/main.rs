@@ -3,10 +3,10 @@
 mod averaging;
 mod config;
 mod evaluate;
+mod growth;
 mod improved;
 mod order;
 mod reconstruct;
-mod renew;
 mod resume;
 mod stage;
 mod support;

@@ -4,22 +4,26 @@
 
 use std::sync::atomic::AtomicBool;
 
+use genesplat_core::gaussians::logit;
 use genesplat_core::{DensitySignal, Origin, Rng, ScreenFilter, Sight};
-use genesplat_train::config::Signal;
+use genesplat_evolve::GeneticConfig;
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::filter_3d::filter_3d;
 use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
-use genesplat_train::{
-    Background, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError, Variant, train,
-};
+use genesplat_train::{Background, MethodName, Observer, Outcome, Silent, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, FakeBackend, added, points, views};
 
-fn short(change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.1, ..TrainConfig::published() };
-    config.densify.every = 10;
+fn short_of(method: MethodName, change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
+    let mut config = TrainConfig { steps_scale: 0.1, ..TrainConfig::of(method) };
+    config.method.densify_every = 10;
     change(&mut config);
     config
+}
+
+/// Of 3DGS.
+fn short(change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
+    short_of(MethodName::ThreeDgs, change)
 }
 
 fn run(backend: &mut FakeBackend, config: TrainConfig) -> Result<Outcome, TrainError> {
@@ -88,12 +92,10 @@ fn the_white_reset_costs_opacity_alone_a_step() {
 }
 
 #[test]
-fn densification_precedes_the_reset_and_evolution_follows_it() {
+fn densification_precedes_the_reset_and_the_search_follows_it() {
     let mut backend = FakeBackend::new();
-    let config = short(|config| {
-        config.evolution.mode = EvolutionMode::Paper;
-        (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
-    });
+    let genetic = GeneticConfig { generations: 2, population: 12, ..GeneticConfig::default() };
+    let config = short(|config| config.genetic = Some(genetic));
     let outcome = run(&mut backend, config).unwrap();
     let kinds: Vec<&str> = iteration(&backend, 300)
         .iter()
@@ -161,7 +163,7 @@ fn every_epoch_visits_every_view() {
 fn rows_with_large_gradients_grow_beside_their_sources() {
     let mut backend = FakeBackend::new();
     backend.gradient = |row| if row % 10 == 3 { 3e-4 } else { 1e-4 };
-    run(&mut backend, short(|config| config.densify.until = 700)).unwrap();
+    run(&mut backend, short(|config| config.method.densify_until = 700)).unwrap();
     let [Call::Step(_), Call::Edit(edit)] = iteration(&backend, 60) else {
         panic!("iteration 60: {:?}", iteration(&backend, 60))
     };
@@ -190,22 +192,22 @@ fn small_rows_are_cloned_and_large_ones_split() {
 
 #[test]
 fn every_random_draw_of_the_device_comes_from_the_seed() {
-    let trained = |seed, variant| {
+    let trained = |seed, method| {
         let mut backend = FakeBackend::new();
         backend.gradient = |row| if row % 10 == 3 { 3e-4 } else { 1e-4 };
-        let config = short(|config| (config.seed, config.variant, config.iterations) = (seed, variant, 700));
+        let config = short_of(method, |config| (config.seed, config.iterations) = (seed, 700));
         let cloud = run(&mut backend, config).unwrap().cloud;
         (cloud.positions, backend)
     };
-    let ((first, device), (again, _)) = (trained(1, Variant::ThreeDgs), trained(1, Variant::ThreeDgs));
-    let (other, _) = trained(2, Variant::ThreeDgs);
+    let ((first, device), (again, _)) = (trained(1, MethodName::ThreeDgs), trained(1, MethodName::ThreeDgs));
+    let (other, _) = trained(2, MethodName::ThreeDgs);
     assert_eq!(first, again);
     let y = |positions: &[[f32; 3]]| positions.iter().map(|position| position[1]).collect::<Vec<_>>();
     // Nothing but the offset of split children moves the fake's y.
     assert!(y(&first).iter().any(|&y| y != 0.0) && y(&first) != y(&other), "children are drawn anew");
     let all_have = |device: &FakeBackend, rng| device.edits().count() > 0 && device.edits().all(|edit| edit.rng == rng);
     assert!(all_have(&device, Rng::new(1)));
-    let (_, device) = trained(2, Variant::Mcmc);
+    let (_, device) = trained(2, MethodName::Mcmc);
     assert!(all_have(&device, Rng::new(2)));
     let mut noise = device.steps().filter_map(|step| step.update?.mcmc);
     assert!(noise.all(|mcmc| mcmc.rng == Rng::new(2)));
@@ -215,7 +217,7 @@ fn every_random_draw_of_the_device_comes_from_the_seed() {
 fn size_prunes_only_after_the_first_reset() {
     let mut backend = FakeBackend::new();
     let mut config = short(|_| {});
-    config.densify.prune_size = 0.08; // 0.176 world units: the line's ends are 0.216 wide, all others 0.141.
+    config.method.prune_size = 0.08; // 0.176 world units: the line's ends are 0.216 wide, all others 0.141.
     let outcome = run(&mut backend, config).unwrap();
     let [Call::Step(_), Call::Edit(at_300), Call::ResetOpacity(_)] = iteration(&backend, 300) else {
         panic!("iteration 300: {:?}", iteration(&backend, 300))
@@ -230,7 +232,7 @@ fn size_prunes_only_after_the_first_reset() {
 fn pixel_gs_asks_for_another_signal_and_nothing_else() {
     let (mut plain, mut pixel) = (FakeBackend::new(), FakeBackend::new());
     run(&mut plain, short(|_| {})).unwrap();
-    run(&mut pixel, short(|config| config.variant = Variant::PixelGs)).unwrap();
+    run(&mut pixel, short_of(MethodName::PixelGs, |_| {})).unwrap();
     let Some(DensitySignal::PixelWeighted { depth_threshold }) = pixel.steps().next().unwrap().statistics.density
     else {
         panic!("pixel-gs does not weight by pixels")
@@ -238,22 +240,6 @@ fn pixel_gs_asks_for_another_signal_and_nothing_else() {
     assert!((f64::from(depth_threshold) - 0.37 * 2.2).abs() < 1e-6);
     let updates = |backend: &FakeBackend| backend.steps().map(|step| step.update).collect::<Vec<_>>();
     assert_eq!(updates(&plain), updates(&pixel));
-}
-
-#[test]
-fn other_signals_are_asked_for_and_judged_by_their_thresholds() {
-    let grown = |signal, gradient: fn(usize) -> f32| {
-        let mut backend = FakeBackend::new();
-        backend.gradient = gradient;
-        let config = short(|config| (config.densify.signal, config.iterations) = (signal, 700));
-        let gaussians = run(&mut backend, config).unwrap().summary.gaussians;
-        (backend.steps().next().unwrap().statistics.density.unwrap(), gaussians)
-    };
-    // One densification, at iteration 60; gsplat's threshold for absolute gradients is 8e-4.
-    assert_eq!(grown(Signal::Published, |_| 7e-4), (DensitySignal::Signed, 40));
-    assert_eq!(grown(Signal::Absolute, |_| 7e-4), (DensitySignal::Absolute, 20));
-    assert_eq!(grown(Signal::Absolute, |_| 9e-4), (DensitySignal::Absolute, 40));
-    assert_eq!(grown(Signal::Gof, |_| 7e-4), (DensitySignal::SignedAndAbsolute, 40));
 }
 
 #[test]
@@ -268,7 +254,7 @@ fn antialiasing_is_a_filter_of_every_render() {
 #[test]
 fn mip_splatting_refreshes_its_filter_before_the_reset() {
     let mut backend = FakeBackend::new();
-    run(&mut backend, short(|config| config.variant = Variant::MipSplatting)).unwrap();
+    run(&mut backend, short_of(MethodName::MipSplatting, |_| {})).unwrap();
     assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: true });
     let at_300 = iteration(&backend, 300);
     assert!(matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]), "{at_300:?}");
@@ -281,7 +267,7 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
 fn every_row_of_mip_splatting_begins_with_its_own_filter() {
     let mut backend = FakeBackend::new();
     let points: Vec<_> = (0..20).map(|row| ([0.0, 0.01 * row as f32, 1.0 + row as f32], [128; 3])).collect();
-    let config = short(|config| (config.variant, config.iterations) = (Variant::MipSplatting, 10)).resolve().unwrap();
+    let config = short_of(MethodName::MipSplatting, |config| config.iterations = 10).resolve().unwrap();
     let stop = AtomicBool::new(false);
     let cloud = train(&mut backend, &views(7), Start::Points(points), &config, &mut Silent, &stop).unwrap().cloud;
     let views = views(7);
@@ -292,26 +278,19 @@ fn every_row_of_mip_splatting_begins_with_its_own_filter() {
 #[test]
 fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
     let mut backend = FakeBackend::new();
-    let outcome = run(
-        &mut backend,
-        short(|config| {
-            (config.variant, config.max_gaussians) = (Variant::Mcmc, Some(27));
-            config.evolution.extra_steps = Some(StepBudget::Seconds(0.001));
-        }),
-    )
-    .unwrap();
+    let config = short_of(MethodName::Mcmc, |config| config.max_gaussians = Some(27));
+    let outcome = run(&mut backend, config).unwrap();
     let updates: Vec<_> = backend.steps().filter_map(|step| step.update).collect();
     for (update, step) in updates.iter().zip(1..) {
         let mcmc = update.mcmc.unwrap();
-        assert_eq!(mcmc.counter, step, "no two steps share their noise, extra ones included");
+        assert_eq!(mcmc.counter, step, "no two steps share their noise");
         assert_eq!(mcmc.rng, Rng::new(0), "streams of the run's seed");
         assert_eq!(mcmc.noise_scale, update.rates.position * 5e5);
         assert_eq!((mcmc.opacity_weight, mcmc.scale_weight), (0.01, 0.01));
     }
     assert!(backend.steps().all(|step| step.statistics.density.is_none()), "nobody reads gradients");
     assert!(!backend.calls.iter().any(|call| matches!(call, Call::ResetOpacity(_))));
-    let stages: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
-    assert_eq!(stages, [300, 600, 900, 1200], "where 3DGS would have reset");
+    assert_eq!(updates.len(), 2999, "and no step is lost but the last");
     // A twentieth of 20 to 26 is one a time.
     let rows: Vec<usize> = backend.edits().map(|edit| edit.sources.len()).collect();
     assert_eq!((rows.len(), &rows[..9]), (244, &[21, 22, 23, 24, 25, 26, 27, 27, 27][..]));
@@ -322,9 +301,7 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
 #[test]
 fn mcmc_regularises_once_for_each_photo_of_a_step() {
     let mut backend = FakeBackend::new();
-    let config = short(|config| {
-        (config.variant, config.views_per_step, config.max_gaussians) = (Variant::Mcmc, 4, Some(27));
-    });
+    let config = short_of(MethodName::Mcmc, |config| (config.views_per_step, config.max_gaussians) = (4, Some(27)));
     run(&mut backend, config).unwrap();
     let updates = backend.steps().filter_map(|step| step.update);
     assert!(
@@ -335,7 +312,7 @@ fn mcmc_regularises_once_for_each_photo_of_a_step() {
 #[test]
 fn mcmc_starts_small_and_half_transparent() {
     let mut backend = FakeBackend::new();
-    let config = short(|config| (config.variant, config.iterations) = (Variant::Mcmc, 1));
+    let config = short_of(MethodName::Mcmc, |config| config.iterations = 1);
     let outcome = run(&mut backend, config).unwrap();
     let usual = cloud_from_points(&points(20)).unwrap();
     for row in 0..20 {
@@ -398,17 +375,18 @@ fn the_cap_holds_and_is_told_once() {
 
 #[test]
 fn an_emptied_cloud_is_an_error() {
-    let mut config = short(|_| {});
-    config.densify.prune_opacity = 0.2;
-    config.densify.reset_opacity = Some(0.3);
-    let error = run(&mut FakeBackend::new(), config).unwrap_err();
+    let mut faint = cloud_from_points(&points(20)).unwrap();
+    faint.opacity_logits.fill(logit(0.004));
+    let (config, stop) = (short(|_| {}).resolve().unwrap(), AtomicBool::new(false));
+    let start = Start::Cloud(faint);
+    let error = train(&mut FakeBackend::new(), &views(7), start, &config, &mut Silent, &stop).unwrap_err();
     assert!(matches!(error, TrainError::NothingLeft { iteration: 60 }), "{error}");
 }
 
 #[test]
 fn divergence_is_named() {
     let mut backend = FakeBackend::new();
-    let error = run(&mut backend, short(|config| config.optimiser.position_start = Some(1e300))).unwrap_err();
+    let error = run(&mut backend, short(|config| config.method.position_rate_start = 1e300)).unwrap_err();
     let text = error.to_string();
     assert!(
         text.starts_with("the position of Gaussian ") && text.contains("not finite after 59 optimiser steps"),
@@ -418,7 +396,7 @@ fn divergence_is_named() {
 
 #[test]
 fn missing_inputs_are_named() {
-    let config = TrainConfig::published().resolve().unwrap();
+    let config = TrainConfig::of(MethodName::ThreeDgs).resolve().unwrap();
     let stop = AtomicBool::new(false);
     let run = |views: &[genesplat_core::View], start| {
         train(&mut FakeBackend::new(), views, start, &config, &mut Silent, &stop).unwrap_err()

@@ -4,11 +4,14 @@ use std::f64::consts::TAU;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, Camera, EvolutionBackend, Gaussians, Rng, SparseDelta, Stream, View};
+use genesplat_evolve::GeneticConfig;
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
 use genesplat_train::scene::initialise::{ColouredPoint, cloud_from_points};
 use genesplat_train::scene::views::spread_evenly;
-use genesplat_train::{EvolutionMode, Outcome, Schedule, Silent, Start, TrainConfig, Variant, search, train};
+use genesplat_train::{
+    MethodName, Outcome, Schedule, Silent, StageKind, StageRecord, Start, TrainConfig, search, train,
+};
 use glam::{DMat3, DVec3};
 
 const WIDTH: u32 = 48;
@@ -64,12 +67,22 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
     (views, test, points)
 }
 
-fn config(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
-    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::published() };
-    (config.densify.every, config.densify.reset_every) = (1, 30);
-    config.max_gaussians = Some(600);
-    config.evolution.mode = EvolutionMode::Paper;
-    (config.evolution.paper.generations, config.evolution.paper.population) = (3, 12);
+/// Of so many generations, where the method resets opacities.
+fn genetic(method: MethodName, generations: u32) -> Option<GeneticConfig> {
+    method.resets().then(|| GeneticConfig { generations, population: 12, ..GeneticConfig::default() })
+}
+
+fn config(method: MethodName, change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+    let genetic = genetic(method, 3);
+    let usual = TrainConfig { steps_scale: 0.01, max_gaussians: Some(600), ..TrainConfig::of(method) };
+    let mut config = TrainConfig { genetic, ..usual };
+    match method {
+        // Ours has no such settings, and never less than a hundred iterations.
+        MethodName::Genesplat => config.steps_scale = 0.02,
+        // It starts from Gaussians ten times smaller.
+        MethodName::Mcmc => (config.steps_scale, config.method.densify_every) = (0.02, 2),
+        _ => (config.method.densify_every, config.method.reset_every) = (1, 30),
+    }
     change(&mut config);
     config.resolve().unwrap()
 }
@@ -85,25 +98,26 @@ fn reconstruct(config: &Schedule) -> (Outcome, f64) {
 }
 
 #[test]
-fn every_variant_reconstructs_unseen_views() {
+fn every_method_reconstructs_unseen_views() {
     let (_, test, points) = scene();
     let mut untrained = CpuBackend::new();
     untrained.upload(cloud_from_points(&points).unwrap().into()).unwrap();
     let before = evaluate(&mut untrained, &test, &Default::default(), None, |_, _| {}).unwrap().psnr;
-    for variant in Variant::ALL {
-        let (outcome, after) = reconstruct(&config(|config| {
-            config.variant = variant;
-            if variant == Variant::Mcmc {
-                // It starts from Gaussians ten times smaller.
-                config.steps_scale *= 2.0;
-                (config.densify.every, config.densify.reset_every) = (2, 60);
-            }
-        }));
+    for method in MethodName::ALL {
+        let (outcome, after) = reconstruct(&config(method, |_| {}));
         // 300 steps gain 10 dB here; a pipeline that hardly steps, or the wrong way, does not gain 7.
-        assert!(after > before + 7.0, "{variant}: {before:.2} dB before, {after:.2} dB after");
-        assert_eq!(outcome.summary.stages.len(), 4);
-        assert!(outcome.summary.stages.iter().all(|stage| stage.fitness_after <= stage.fitness_before));
-        assert_eq!(outcome.cloud.filter_3d.is_some(), variant == Variant::MipSplatting);
+        assert!(after > before + 7.0, "{method}: {before:.2} dB before, {after:.2} dB after");
+        let is_search = |stage: &&StageRecord| stage.kind == StageKind::Genetic;
+        let (searches, others): (Vec<&StageRecord>, Vec<&StageRecord>) =
+            outcome.summary.stages.iter().partition(is_search);
+        let wanted = match method {
+            MethodName::Genesplat => (2, 1),
+            MethodName::Mcmc => (0, 0),
+            _ => (4, 0),
+        };
+        assert_eq!((searches.len(), others.len()), wanted, "{method}: {others:?}");
+        assert!(searches.iter().all(|stage| stage.fitness_after <= stage.fitness_before));
+        assert_eq!(outcome.cloud.filter_3d.is_some(), method == MethodName::MipSplatting);
     }
 }
 
@@ -112,10 +126,8 @@ fn every_variant_reconstructs_unseen_views() {
 #[test]
 fn a_stage_leaves_what_it_scored_in_mip_splatting_too() {
     let (views, _, points) = scene();
-    let config = config(|config| {
-        config.variant = Variant::MipSplatting;
-        config.evolution.paper.generations = 12;
-    });
+    let method = MethodName::MipSplatting;
+    let config = config(method, |config| config.genetic = genetic(method, 12));
     let mut backend = CpuBackend::new();
     let stop = AtomicBool::new(false);
     let mut cloud = cloud_from_points(&points).unwrap();
@@ -136,7 +148,7 @@ fn a_stage_leaves_what_it_scored_in_mip_splatting_too() {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes() {
-    let config = config(|config| config.seed = 3);
+    let config = config(MethodName::ThreeDgs, |config| config.seed = 3);
     let (first, second) = (reconstruct(&config), reconstruct(&config));
     assert_eq!(first.0.cloud, second.0.cloud);
     assert_eq!(first.1.to_bits(), second.1.to_bits());

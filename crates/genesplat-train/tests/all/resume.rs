@@ -5,24 +5,28 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::BackendError;
+use genesplat_evolve::GeneticConfig;
 use genesplat_train::{
-    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError,
-    Trigger, Variant, train,
+    Background, Checkpoint, MethodConfig, MethodName, Observer, Outcome, Silent, Start, StepBudget, TrainConfig,
+    TrainError, train,
 };
 
 use crate::support::{Call, Failure, FakeBackend, Keep, points, resumed, timeless, views};
 
-/// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
+/// 300 iterations that densify, reset (30, 60, ...), filter and search.
 fn config() -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..TrainConfig::published() };
-    (config.densify.every, config.densify.reset_every) = (1, 30);
+    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::of(MethodName::MipSplatting) };
+    (config.method.densify_every, config.method.reset_every) = (1, 30);
     config.background = Background::Random;
     config.max_gaussians = Some(60);
-    config.evolution.mode = EvolutionMode::Paper;
     // Losers of small tournaments breed, too, so that what most hold in common goes back and forth.
-    config.evolution.paper.generations = 4;
-    (config.evolution.paper.population, config.evolution.paper.tournament) = (10, 2);
-    config.evolution.paper.initial_mutation_rate = 0.5;
+    config.genetic = Some(GeneticConfig {
+        generations: 4,
+        population: 10,
+        tournament: 2,
+        initial_mutation_rate: 0.5,
+        ..GeneticConfig::default()
+    });
     config
 }
 
@@ -55,10 +59,10 @@ fn assert_same(resumed: &Outcome, whole: &Outcome, context: &str) {
 }
 
 #[test]
-fn stopping_between_any_two_phases_changes_nothing() {
+fn stopping_between_any_two_events_changes_nothing() {
     let whole = uninterrupted();
     let mut cursors = BTreeSet::new();
-    // Every call of the run, so that the flag is first seen before every phase that there is.
+    // Every call of the run, so that the flag is first seen before every event that there is.
     for call in fallible(false) {
         let stop = Arc::new(AtomicBool::new(false));
         let mut backend = backend();
@@ -69,45 +73,44 @@ fn stopping_between_any_two_phases_changes_nothing() {
             continue;
         };
         assert!(stopped.summary.interrupted);
-        cursors.insert((checkpoint.cursor.iteration, checkpoint.cursor.phase as usize));
+        cursors.insert((checkpoint.cursor.iteration, checkpoint.cursor.event));
         assert_same(&resume(&checkpoint), &whole, &format!("stopped in call {call}"));
     }
     let schedule = config().resolve().unwrap();
     for i in 2..=schedule.iterations {
-        for phase in schedule.phases(i) {
-            assert!(cursors.contains(&(i, phase as usize)), "never stopped before {phase:?} of iteration {i}");
+        for event in schedule.timeline().at(i) {
+            assert!(cursors.contains(&(i, event)), "never stopped before {event:?} of iteration {i}");
         }
     }
 }
 
+/// The same with extra steps where searches are.
+fn control(budget: StepBudget) -> TrainConfig {
+    TrainConfig { genetic: None, extra_steps: Some(budget), ..config() }
+}
+
 #[test]
 fn extra_steps_that_were_stopped_spend_their_seconds_anew() {
-    for trigger in [Trigger::AfterReset, Trigger::AtEnd] {
-        let mut config = config();
-        (config.evolution.mode, config.evolution.trigger) = (EvolutionMode::Off, trigger);
-        config.evolution.extra_steps = Some(StepBudget::Seconds(1e9));
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut fake = backend();
-        // Beyond the last call of a run without extra steps, and so within them.
-        fake.stop_in_call = Some((2000, stop.clone()));
-        let resolved = config.clone().resolve().unwrap();
-        let start = Start::Points(points(20));
-        let stopped = train(&mut fake, &views(7), start, &resolved, &mut Silent, &stop).unwrap();
-        assert!(stopped.summary.interrupted, "{trigger:?}");
-        let [half] = stopped.summary.stages[..] else { panic!("{:?}", stopped.summary.stages) };
-        assert!(half.renders > 0 && half.seconds < 1e9, "what was done counts: {half:?}");
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut fake = backend();
+    // Beyond the last call of a run without extra steps, and so within them.
+    fake.stop_in_call = Some((2000, stop.clone()));
+    let resolved = control(StepBudget::Seconds(1e9)).resolve().unwrap();
+    let start = Start::Points(points(20));
+    let stopped = train(&mut fake, &views(7), start, &resolved, &mut Silent, &stop).unwrap();
+    assert!(stopped.summary.interrupted);
+    let [half] = stopped.summary.stages[..] else { panic!("{:?}", stopped.summary.stages) };
+    assert!(half.renders > 0 && half.seconds < 1e9, "what was done counts: {half:?}");
 
-        // From before its first step, with seconds that a test can spend.
-        let checkpoint = stopped.checkpoint.unwrap();
-        assert_eq!((checkpoint.cursor.iteration, checkpoint.progress.stages.len()), (half.iteration, 0));
-        config.evolution.extra_steps = Some(StepBudget::Seconds(0.01));
-        let (resolved, go_on) = (config.resolve().unwrap(), AtomicBool::new(false));
-        let start = Start::Checkpoint(checkpoint);
-        let whole = train(&mut backend(), &views(7), start, &resolved, &mut Silent, &go_on).unwrap();
-        let stages = &whole.summary.stages;
-        assert!(stages.iter().all(|stage| stage.seconds >= 0.01), "{stages:?}");
-        assert_eq!(stages.len(), if trigger == Trigger::AtEnd { 1 } else { 4 });
-    }
+    // From before its first step, with seconds that a test can spend.
+    let checkpoint = stopped.checkpoint.unwrap();
+    assert_eq!((checkpoint.cursor.iteration, checkpoint.progress.stages.len()), (half.iteration, 0));
+    let (resolved, go_on) = (control(StepBudget::Seconds(0.01)).resolve().unwrap(), AtomicBool::new(false));
+    let start = Start::Checkpoint(checkpoint);
+    let whole = train(&mut backend(), &views(7), start, &resolved, &mut Silent, &go_on).unwrap();
+    let stages = &whole.summary.stages;
+    assert!(stages.iter().all(|stage| stage.seconds >= 0.01), "{stages:?}");
+    assert_eq!(stages.len(), 4);
 }
 
 #[test]
@@ -154,21 +157,19 @@ fn from_its_end_a_run_is_what_it_was_without_a_step() {
 }
 
 #[test]
-fn a_checkpoint_of_another_variant_is_refused() {
+fn a_checkpoint_of_another_method_is_refused() {
     let stop = AtomicBool::new(true);
     let stopped = go(&mut backend(), Start::Points(points(20)), &mut Silent, &stop);
     let start = Start::Checkpoint(stopped.checkpoint.unwrap());
-    let other = TrainConfig { variant: Variant::ThreeDgs, ..config() }.resolve().unwrap();
+    let other = TrainConfig { method: MethodConfig::of(MethodName::ThreeDgs), ..config() }.resolve().unwrap();
     let error = train(&mut backend(), &views(7), start, &other, &mut Silent, &stop).unwrap_err();
-    assert!(matches!(error, TrainError::OtherVariant { wanted: Variant::ThreeDgs }), "{error}");
+    assert!(matches!(error, TrainError::OtherMethod { wanted: MethodName::ThreeDgs }), "{error}");
 }
 
 #[test]
 fn extra_steps_whose_device_fails_leave_their_beginning() {
     for failure in [Failure::OutOfMemory, Failure::Lost] {
-        let mut config = config();
-        config.evolution.mode = EvolutionMode::Off;
-        config.evolution.extra_steps = Some(StepBudget::Seconds(1e9));
+        let config = control(StepBudget::Seconds(1e9));
         let mut fake = backend();
         fake.failure = Some((2000, failure));
         let (mut keep, stop) = (Keep::default(), AtomicBool::new(false));

@@ -4,14 +4,14 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::Gaussians;
 use genesplat_core::backend::MomentPolicy;
-use genesplat_evolve::{CrossoverOf, InitialDirection, PaperConfig, SelectedBy};
+use genesplat_core::{Gaussians, TrainStep};
+use genesplat_evolve::{Crossover, GeneticConfig, Magnitude};
 use genesplat_train::observe::{GenerationLog, StageLog};
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{
-    Background, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget, TrainConfig,
-    TrainError, Trigger, search, train,
+    Background, MethodName, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget, TrainConfig,
+    TrainError, search, train,
 };
 
 use crate::support::{Call, FakeBackend, points, views};
@@ -19,14 +19,19 @@ use crate::support::{Call, FakeBackend, points, views};
 const GENERATIONS: u32 = 4;
 const POPULATION: u32 = 12;
 
+/// Bolder than the paper, so that thirty Gaussians improve within a generation.
+fn genetic() -> GeneticConfig {
+    GeneticConfig {
+        generations: GENERATIONS,
+        population: POPULATION,
+        initial_mutation_rate: 0.5,
+        mutation_rates: [0.5; 3],
+        ..GeneticConfig::default()
+    }
+}
+
 fn config() -> TrainConfig {
-    let mut config = TrainConfig::default();
-    config.evolution.paper.generations = GENERATIONS;
-    config.evolution.paper.population = POPULATION;
-    // Bolder than the paper, so that thirty Gaussians improve within a generation.
-    config.evolution.paper.initial_mutation_rate = 0.5;
-    config.evolution.paper.mutation_rates = [0.5; 3];
-    config
+    TrainConfig { genetic: Some(genetic()), ..TrainConfig::default() }
 }
 
 fn cloud() -> Gaussians {
@@ -170,23 +175,26 @@ fn the_observer_follows_the_generations() {
 }
 
 #[test]
-fn the_search_is_the_same_whatever_runs_beside_training() {
-    let found = |mode| {
-        let (mut backend, mut config) = (FakeBackend::new(), config());
-        config.evolution.mode = mode;
+fn the_search_is_the_same_for_all_methods() {
+    let found = |method| {
+        let mut backend = FakeBackend::new();
+        let config = TrainConfig { genetic: Some(genetic()), ..TrainConfig::of(method) };
         let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
-        assert_eq!(outcome.summary.stages[0].kind, StageKind::Paper);
+        assert_eq!(outcome.summary.stages[0].kind, StageKind::Genetic);
         assert_eq!(backend.calls.last(), Some(&Call::ClearGeneGradients));
-        outcome.cloud
+        (outcome.cloud.positions, outcome.cloud.log_scales, outcome.cloud.opacity_logits)
     };
-    let [off, paper, renew] = EvolutionMode::ALL.map(found);
-    assert_eq!((&off, &renew), (&paper, &paper), "gene gradients are used by all");
+    let ours = found(MethodName::Genesplat);
+    for method in MethodName::ALL.into_iter().filter(|method| method.resets()) {
+        assert_eq!(found(method), ours, "{method}");
+    }
 }
 
 #[test]
 fn each_stage_draws_its_own_founders() {
-    let (mut backend, mut config) = (FakeBackend::new(), config());
-    (config.evolution.mode, config.steps_scale, config.evolution.paper.generations) = (EvolutionMode::Paper, 0.1, 0);
+    let genetic = Some(GeneticConfig { generations: 0, ..genetic() });
+    let config = TrainConfig { steps_scale: 0.1, genetic, ..TrainConfig::of(MethodName::ThreeDgs) };
+    let mut backend = FakeBackend::new();
     let (start, config, stop) = (Start::Points(points(30)), config.resolve().unwrap(), AtomicBool::new(false));
     let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
     // The base, and founders.
@@ -196,60 +204,73 @@ fn each_stage_draws_its_own_founders() {
     assert!(founders.len() > 1);
 }
 
-#[test]
-fn moments_are_treated_as_the_configuration_says() {
-    let (mut backend, mut config) = (FakeBackend::new(), config());
-    config.evolution.moments = MomentPolicy::Zero;
-    let rows = run(&mut backend, config, &AtomicBool::new(false)).unwrap().summary.stages[0].changed;
-    assert_eq!(applied(&backend).last(), Some(&&Call::Apply { rows, moments: MomentPolicy::Zero }));
-}
-
-/// Each changes the search, and errors are asked for only where rows are drawn by them: once, on the six fitness views.
+/// Each changes the search.
 #[test]
 fn options_of_the_search_reach_it() {
-    let found = |change: fn(&mut PaperConfig)| {
-        let (mut backend, mut config) = (FakeBackend::new(), config());
-        change(&mut config.evolution.paper);
+    let found = |change: fn(&mut GeneticConfig)| {
+        let (mut backend, mut genetic) = (FakeBackend::new(), genetic());
+        change(&mut genetic);
+        let config = TrainConfig { genetic: Some(genetic), ..TrainConfig::default() };
         let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
-        let asked: Vec<Call> =
-            backend.calls.into_iter().filter(|call| matches!(call, Call::Contributions { .. })).collect();
-        (outcome.cloud, asked)
+        (outcome.cloud, backend.steps().count())
     };
-    let (plain, asked) = found(|_| ());
-    assert_eq!(asked, []);
-    let (by_error, asked) = found(|paper| paper.selected_by = SelectedBy::Error);
-    assert_eq!(asked, [Call::Contributions { views: 6 }]);
-    let (downhill, _) = found(|paper| paper.initial_direction = InitialDirection::Downhill);
-    let (selected, _) = found(|paper| paper.crossover_of = CrossoverOf::Selected);
-    assert!([by_error, downhill, selected].iter().all(|cloud| *cloud != plain));
+    let (plain, passes) = found(|_| ());
+    assert_eq!(passes, 20, "gene gradients of all views");
+    let (unit, passes) = found(|genetic| genetic.magnitude = Magnitude::Unit);
+    assert_eq!(passes, 0, "which nobody asks for then");
+    let (uniform, _) = found(|genetic| genetic.crossover = Crossover::Uniform);
+    let (bold, _) = found(|genetic| genetic.intensity = 0.2);
+    let (few, _) = found(|genetic| genetic.views = 2);
+    assert!([unit, uniform, bold].iter().all(|cloud| *cloud != plain));
+    assert_eq!(few, plain, "all views show the same here");
+}
+
+#[test]
+fn as_many_views_are_scored_as_the_settings_say() {
+    let mut backend = FakeBackend::new();
+    let genetic = Some(GeneticConfig { views: 2, ..genetic() });
+    run(&mut backend, TrainConfig { genetic, ..TrainConfig::default() }, &AtomicBool::new(false)).unwrap();
+    let is_right = |call: &Call| !matches!(call, Call::Score { views, .. } if views.len() != 2);
+    assert!(backend.calls.iter().all(is_right));
 }
 
 /// Steps of a run of 30 iterations, the last of which makes none.
 const STEPS: usize = 30;
 
-/// Trains with extra steps at the end.
+/// Those before the reset.
+const BEFORE: usize = STEPS - 1;
+
+/// So short, and with a reset at the end of its last iteration but one.
+fn short() -> TrainConfig {
+    let mut config = TrainConfig { iterations: STEPS as u32, ..TrainConfig::of(MethodName::ThreeDgs) };
+    config.method.reset_every = BEFORE as u32;
+    config
+}
+
+/// Trains with extra steps after the reset.
 fn extra_steps(budget: StepBudget, background: Background) -> (FakeBackend, Outcome) {
     let (mut backend, start) = (FakeBackend::new(), Start::Points(points(30)));
-    let mut config = TrainConfig { steps_scale: 0.001, background, ..TrainConfig::published() };
-    (config.evolution.trigger, config.evolution.extra_steps) = (Trigger::AtEnd, Some(budget));
-    let config = config.resolve().unwrap();
+    let config = TrainConfig { background, extra_steps: Some(budget), ..short() }.resolve().unwrap();
     let stop = AtomicBool::new(false);
     let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
     assert_eq!(outcome.summary.stages[0].kind, StageKind::ExtraSteps);
     (backend, outcome)
 }
 
+/// Those between the reset and the last iteration.
+fn extra(backend: &FakeBackend) -> Vec<&TrainStep> {
+    let steps: Vec<_> = backend.steps().collect();
+    steps[BEFORE..steps.len() - 1].to_vec()
+}
+
 #[test]
 fn extra_steps_are_made_at_rates_that_stand_still() {
     let (backend, outcome) = extra_steps(StepBudget::Seconds(0.01), Background::Black);
-    let updates: Vec<_> = backend.steps().skip(STEPS).map(|step| step.update.unwrap()).collect();
+    let updates: Vec<_> = extra(&backend).iter().map(|step| step.update.unwrap()).collect();
     assert!(!updates.is_empty());
     assert!(updates.iter().all(|update| update.rates == updates[0].rates));
     assert!(updates.iter().zip(STEPS as u32..).all(|(update, step)| update.step == step));
-    assert!(
-        backend.steps().skip(STEPS).all(|step| step.statistics == Default::default()),
-        "density control sees nothing"
-    );
+    assert!(extra(&backend).iter().all(|step| step.statistics == Default::default()), "density control sees nothing");
     let stage = outcome.summary.stages[0];
     assert_eq!((stage.renders, stage.generations), (updates.len() as u64, 0));
     assert!(stage.seconds >= 0.01 && applied(&backend).is_empty());
@@ -274,9 +295,8 @@ fn every_extra_step_has_a_random_background_of_its_own() {
 #[test]
 fn extra_steps_of_a_cloud_that_has_diverged_name_the_row() {
     let (mut backend, start) = (FakeBackend::new(), Start::Points(points(30)));
-    let mut config = TrainConfig { steps_scale: 0.001, ..TrainConfig::published() };
-    (config.evolution.trigger, config.evolution.extra_steps) = (Trigger::AtEnd, Some(StepBudget::Steps(7)));
-    (config.densify.until, config.optimiser.position_start) = (0, Some(1e300));
+    let mut config = TrainConfig { extra_steps: Some(StepBudget::Steps(7)), ..short() };
+    config.method.position_rate_start = 1e300;
     let config = config.resolve().unwrap();
     let stop = AtomicBool::new(false);
     let error = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap_err().to_string();

@@ -13,7 +13,7 @@ const PHOTOS: usize = 8;
 fn config() -> TrainConfig {
     let usual = TrainConfig::default();
     let mut config = TrainConfig { iterations: 1000, checkpoint_every: 990, max_gaussians: Some(60), ..usual };
-    config.evolution.renewal.virtual_views = Some(true);
+    config.method.virtual_views = 1;
     config
 }
 
@@ -71,7 +71,7 @@ fn pictures_have_the_background_that_they_were_made_with() {
 #[test]
 fn without_them_all_steps_look_at_photos() {
     let mut without = config();
-    without.evolution.renewal.virtual_views = Some(false);
+    without.method.virtual_views = 0;
     let backend = steps_of(without);
     assert!(backend.steps().all(|step| step.view < PHOTOS));
     assert!(backend.calls.iter().all(|call| !matches!(call, Call::SetViews(views) if *views != PHOTOS)));
@@ -109,7 +109,7 @@ fn the_user_is_told() {
         let start = Start::Points(points(20));
         let (resolved, stop) = (config.resolve().unwrap(), AtomicBool::new(false));
         train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut told, &stop).unwrap();
-        told.notices.into_iter().find(|text| text.contains("evolution.renewal.virtual_views"))
+        told.notices.into_iter().find(|text| text.contains("method.virtual_views"))
     };
     let said = told(config()).unwrap();
     assert!(said.starts_with("from iteration 300 on one step in 2") && said.contains("the 8 photos"), "{said}");

@@ -1,6 +1,6 @@
 //! A page gets what it asks for.
 
-use genesplat_core::{Backend, Gaussians, Image, RenderSettings};
+use genesplat_core::{Device, Gaussians, Image, RenderSettings, Renderer};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::message::Pose;
 use genesplat_viewer::render_mode::{RenderMode, derive, develop};

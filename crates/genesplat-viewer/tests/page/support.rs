@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use genesplat_core::{Backend, Gaussians, RenderSettings, Rng, Sight, Stream};
+use genesplat_core::{Device, Gaussians, RenderSettings, Rng, Sight, Stream};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::{Exhibition, LiveView};
 use tungstenite::client::IntoClientRequest;
@@ -46,8 +46,8 @@ impl Show {
         let thread = thread::spawn(move || {
             let cloud = cloud(gaussians);
             let exhibition = Exhibition::new("test", &[], &[], Some(&cloud));
-            let mode_backend = Box::new(CpuBackend::new());
-            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, mode_backend).unwrap();
+            let mode_device = Box::new(CpuBackend::new());
+            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, mode_device).unwrap();
             let mut backend = CpuBackend::new();
             backend.upload(cloud.into()).unwrap();
             sender.send(live.url()).unwrap();

@@ -1,7 +1,7 @@
 //! `genesplat devices`: what this machine can train on.
 
 use anyhow::Result;
-use genesplat::core::Backend;
+use genesplat::core::Renderer;
 use genesplat::gpu::AdapterReport;
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::run::device;

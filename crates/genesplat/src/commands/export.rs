@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use genesplat::core::{Backend, Camera, RenderSettings, View};
+use genesplat::core::{Camera, RenderSettings, Renderer, View};
 use genesplat::io::format::{self, Options, SpzVersion};
 use genesplat::io::{Format, Scene, ending, plural, shown};
 use genesplat::run::numbers::thousands;
@@ -62,7 +62,7 @@ fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
 }
 
 /// The cameras to jump to, each with what the splat looks like from there: of photos that training never saw, else of all.
-fn shoot(scene: &Scene, backend: &mut dyn Backend, settings: &RenderSettings) -> Result<Vec<Shot>> {
+fn shoot(scene: &Scene, renderer: &mut dyn Renderer, settings: &RenderSettings) -> Result<Vec<Shot>> {
     let (split, views) = match scene.test.is_empty() {
         true => (Split::Train, &scene.train),
         false => (Split::Test, &scene.test),
@@ -70,7 +70,7 @@ fn shoot(scene: &Scene, backend: &mut dyn Backend, settings: &RenderSettings) ->
     let mut bar = Bar::new("cameras", views.len() as u64);
     let mut shots = Vec::with_capacity(views.len());
     for (done, View { name, camera, .. }) in (1..).zip(views) {
-        let thumbnail = backend.render(&thumbnail_camera(camera), settings)?.to_photo();
+        let thumbnail = renderer.render(&thumbnail_camera(camera), settings)?.to_photo();
         shots.push(Shot { name: name.clone(), split, camera: *camera, thumbnail });
         bar.set(done, String::new);
     }

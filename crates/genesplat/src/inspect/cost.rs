@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, Stream, View, median};
+use genesplat::core::{Device, Gaussians, RenderSettings, Rng, Stream, View, median};
 use genesplat::io::{Point, Scene};
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::run::device::step_at_rest;

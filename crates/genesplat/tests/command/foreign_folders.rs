@@ -112,7 +112,9 @@ fn pictures_are_rendered_through_no_link_in_a_folder() {
     let (precious, [run, out]) = (precious(place.path()), ["run", "out"].map(|name| place.path().join(name)));
     succeed(train(scene(), &run, &["--iterations", "3"]));
     let render = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--out", text(&out)];
-    for (name, more) in [("gallery_001.png", &[][..]), ("0001.png", &["--path", "orbit", "--frames", "2"])] {
+    for (name, more) in
+        [("gallery_001.png", &["--split", "all"][..]), ("0001.png", &["--path", "orbit", "--frames", "2"])]
+    {
         for planted in Planted::ALL {
             planted.at(&out.join(name), &precious);
             judge_failure(end_of(render.iter().chain(more)), &[name, planted.words()]);

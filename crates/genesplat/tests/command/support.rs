@@ -31,8 +31,10 @@ pub(crate) fn copy_scene(folder: &Path) {
 
 /// The program that has this command. The laboratory's tests need the other program, too, which `cargo test` builds beside it.
 pub(crate) fn program_of(command: &std::ffi::OsStr) -> PathBuf {
-    let Some(lab) = option_env!("CARGO_BIN_EXE_genesplat-lab") else {
-        return option_env!("CARGO_BIN_EXE_genesplat").expect("cargo names the program").into();
+    let lab = match (option_env!("CARGO_BIN_EXE_genesplat"), option_env!("CARGO_BIN_EXE_genesplat-lab")) {
+        (Some(program), _) => return program.into(),
+        (None, Some(lab)) => lab,
+        (None, None) => panic!("cargo names no program"),
     };
     if ["experiment", "bench", "tables"].iter().any(|own| command == *own) {
         return lab.into();

@@ -57,9 +57,7 @@ pub fn columns_of(signal: Option<DensitySignal>) -> &'static [usize] {
     use column::{ABS_X, ABS_Y, BLUE, GREEN, ONE, PIXELS, RED, X, XX, XY, Y, YY};
     match signal {
         None | Some(DensitySignal::Signed) => &[ONE, X, Y, XX, XY, YY, RED, GREEN, BLUE],
-        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => {
-            &[ONE, X, Y, XX, XY, YY, ABS_X, ABS_Y, RED, GREEN, BLUE]
-        }
+        Some(DensitySignal::Absolute) => &[ONE, X, Y, XX, XY, YY, ABS_X, ABS_Y, RED, GREEN, BLUE],
         Some(DensitySignal::PixelWeighted { .. }) => &[ONE, X, Y, XX, XY, YY, RED, GREEN, BLUE, PIXELS],
     }
 }

@@ -39,7 +39,7 @@ pub(crate) fn rasterise_backward(
         let task = TileTask { origin, size_px, intersections, splats, band };
         dispatch!(level, simd => match signal {
             None | Some(DensitySignal::Signed) => backward_tile::<NONE, _>(simd, &task, state, rows),
-            Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => {
+            Some(DensitySignal::Absolute) => {
                 backward_tile::<ABSOLUTE, _>(simd, &task, state, rows);
             }
             Some(DensitySignal::PixelWeighted { .. }) => backward_tile::<PIXELS, _>(simd, &task, state, rows),

@@ -12,6 +12,7 @@
 //! stay those over all pixels, so that a pixel weighs the same in every photo.
 
 pub(crate) mod blur;
+pub(crate) mod squared_error;
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -2,9 +2,8 @@
 //! be off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes to.
 
 use fearless_simd::{Level, dispatch};
-use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{
-    Backend, Camera, EvolutionBackend, Gaussians, Image, Photo, RenderSettings, ScreenFilter, SparseDelta, View,
+    Camera, Device, Edit, Gaussians, Image, Photo, RenderSettings, Renderer, ScreenFilter, SparseDelta, View,
 };
 use glam::DVec3;
 
@@ -51,7 +50,7 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
     for (individual, scores) in population.iter().zip(scores.chunks(views.len())) {
         let mut changed = CpuBackend::new();
         changed.upload(base.clone().into()).unwrap();
-        changed.apply(individual, MomentPolicy::Keep).unwrap();
+        changed.edit(Edit::Genes(individual)).unwrap();
         for (&view, &score) in numbers.iter().zip(scores) {
             let image = changed.render(&views[view].camera, settings).unwrap();
             let photo = PhotoRows::whole(&Target::from(&views[view])).unwrap();

@@ -16,7 +16,7 @@ mod update;
 use fearless_simd::Level;
 use genesplat_core::backend::McmcStep;
 use genesplat_core::{
-    Backend, DensitySignal, Gaussians, Image, RenderSettings, Rng, ScreenFilter, StatisticsRequest, TrainStep,
+    DensitySignal, Device, Gaussians, Image, RenderSettings, Rng, ScreenFilter, StatisticsRequest, TrainStep,
 };
 
 use super::update::{ByTile, Share, UpdateInputs};

@@ -3,10 +3,10 @@
 use std::io;
 use std::sync::Arc;
 
-use genesplat_core::backend::MomentPolicy;
+use genesplat_core::device::copy_of;
 use genesplat_core::{
-    Backend, BackendError, DeviceState, EvolutionBackend, Gaussians, Held, Moments, PhotoStore, RowEdit, ScreenFilter,
-    SparseDelta, StatisticsRequest, StoredPhoto, TrainStep, View,
+    BackendError, Device, DeviceState, Edit, Gaussians, Held, PhotoStore, Renderer, RowEdit, ScreenFilter, SparseDelta,
+    StatisticsRequest, StoredPhoto, TrainStep, View,
 };
 
 use super::{backend_with, classic_step, flat, mcmc_step};
@@ -35,9 +35,8 @@ fn readings(views: &[View]) -> Result<String, BackendError> {
     backend.set_views(views)?;
     backend.train_step(&classic_step(1))?;
     let scores = backend.score(&[individual_of(&base, 0)], &[0, 1], &settings)?;
-    let (contributions, measured) =
-        (backend.contributions(&[0, 1], &settings)?, backend.measure(Held::Cloud, &[1, 0], &settings)?);
-    Ok(format!("{:?} {scores:?} {contributions:?} {measured:?}", backend.state()?))
+    let measured = backend.measure(Held::Cloud, &[1, 0], &settings)?;
+    Ok(format!("{:?} {scores:?} {measured:?}", backend.state()?))
 }
 
 #[test]
@@ -71,9 +70,9 @@ fn results_do_not_depend_on_the_number_of_threads() {
             }
             let mut edit = RowEdit::keep((0..650).collect());
             edit.push(3, genesplat_core::Origin::SplitChild { child: 0 });
-            backend.edit_rows(&edit).unwrap();
+            backend.edit(Edit::Rows(&edit)).unwrap();
             backend.train_step(&classic_step(6)).unwrap();
-            let cloud = backend.download().unwrap().into_owned();
+            let cloud = copy_of(&mut backend).unwrap();
             (cloud, backend.statistics().unwrap())
         })
     };
@@ -95,11 +94,10 @@ fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
             backend.train_step(&classic_step(1)).unwrap();
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
-            let contributions = backend.contributions(&views, &settings).unwrap();
             let map_of = |index: usize| Ok(vec![0.5; [view(), tall_view(), small_view()][index].counted_pixels()]);
-            let weights = backend.weigh(&views, &map_of, &settings).unwrap();
+            let weights = backend.blending_weights(&views, &map_of, &settings).unwrap();
             let measured = [Held::Cloud, Held::Mean].map(|held| backend.measure(held, &views, &settings).unwrap());
-            (scores, contributions, weights, measured)
+            (scores, weights, measured)
         })
     };
     let one = run(1);
@@ -165,7 +163,7 @@ fn a_gaussian_with_a_nan_is_none() {
 #[test]
 fn an_empty_cloud_and_a_single_pixel_are_rendered() {
     let mut backend = CpuBackend::new();
-    backend.upload(DeviceState::default()).unwrap();
+    backend.upload(DeviceState::default().into()).unwrap();
     let settings = settings(0, ScreenFilter::Classic);
     let image = backend.render(&camera(), &settings).unwrap();
     assert_eq!(image.pixel(3, 4), settings.background);
@@ -187,54 +185,30 @@ fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     assert!(saved.moments.pending.opacity_logits.iter().any(|&sum| sum != 0.0), "gradients wait for the next step");
     assert!(saved.mean.states() == 1 && saved.statistics.gene_views.contains(&2));
     let mut second = backend_with(&cloud(10));
-    second.upload(saved.clone()).unwrap();
+    second.upload(saved.clone().into()).unwrap();
     assert_eq!(second.state().unwrap(), saved);
     for backend in [&mut first, &mut second] {
         backend.train_step(&classic_step(3)).unwrap();
     }
     assert!(second.state().unwrap() == first.state().unwrap());
 
-    second.clear_gene_gradients();
+    second.edit(Edit::ForgetGeneGradients).unwrap();
     let (before, after) = (first.statistics().unwrap(), second.statistics().unwrap());
     assert!(after.gene_gradient_sum.is_empty() && after.gene_views.is_empty());
     assert_eq!((after.gradient_sum, after.weight_sum), (before.gradient_sum, before.weight_sum));
 }
 
-/// Statistics and the mean are emptied, as if the snapshot were uploaded.
+/// Moments are those of a new cloud then, and the mean is empty; the cloud and its sums stay.
 #[test]
-fn a_roll_back_brings_back_cloud_and_moments_to_the_bit() {
-    for ends in [false, true] {
-        let mut backend = stepped();
-        let before = backend.state().unwrap();
-        backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
-        backend.train_step(&classic_step(4)).unwrap();
-        backend.add_to_mean().unwrap();
-        backend.reset_opacity(0.01).unwrap();
-        let held = backend.state().unwrap();
-        let snapshot = held.snapshot.clone().unwrap();
-        assert_eq!((&snapshot.cloud, &snapshot.moments), (&before.cloud, &before.moments));
-        let mut resumed = backend_with(&cloud(10));
-        resumed.upload(held).unwrap();
-        let moments = if ends { Moments::zeros(40) } else { before.moments };
-        let mut uploaded = backend_with(&cloud(10));
-        uploaded.upload(DeviceState { cloud: before.cloud, moments, ..DeviceState::default() }).unwrap();
-        for backend in [&mut backend, &mut resumed] {
-            if ends {
-                backend.end_training().unwrap();
-            }
-            backend.roll_back().unwrap();
-            assert_eq!(backend.state().unwrap(), uploaded.state().unwrap());
-        }
-    }
-}
-
-#[test]
-fn a_snapshot_that_is_dropped_is_in_no_state() {
+fn a_cloud_whose_training_has_ended_is_a_new_one() {
     let mut backend = stepped();
-    backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
-    assert!(backend.state().unwrap().snapshot.is_some());
-    backend.drop_snapshot();
-    assert!(backend.state().unwrap().snapshot.is_none());
+    backend.add_to_mean().unwrap();
+    let before = backend.state().unwrap();
+    backend.end_training().unwrap();
+    let new = DeviceState { statistics: before.statistics, ..before.cloud.into() };
+    let mut uploaded = backend_with(&cloud(10));
+    uploaded.upload(new.into()).unwrap();
+    assert_eq!(backend.state().unwrap(), uploaded.state().unwrap());
 }
 
 /// The mean goes with the rows and opacities that it is of.
@@ -243,8 +217,8 @@ fn edits_and_resets_empty_the_mean() {
     let mut backend = backend_with(&cloud(20));
     let changes: [fn(&mut CpuBackend); 4] = [
         |backend| backend.drop_mean(),
-        |backend| backend.edit_rows(&RowEdit::keep(vec![1, 5, 7])).unwrap(),
-        |backend| backend.reset_opacity(0.01).unwrap(),
+        |backend| backend.edit(Edit::Rows(&RowEdit::keep(vec![1, 5, 7]))).unwrap(),
+        |backend| backend.edit(Edit::OpacityCeiling(0.01)).unwrap(),
         |backend| backend.take_mean().unwrap(),
     ];
     for change in changes {
@@ -267,7 +241,7 @@ fn stepped() -> CpuBackend {
 fn a_reset_zeroes_the_moments_of_opacities_and_no_others() {
     let mut backend = stepped();
     let before = backend.state().unwrap().moments;
-    backend.reset_opacity(0.01).unwrap();
+    backend.edit(Edit::OpacityCeiling(0.01)).unwrap();
     let after = backend.state().unwrap();
     assert!(after.cloud.opacity_logits.iter().all(|&logit| logit <= (0.01f32 / 0.99).ln() + 1e-5));
     for (before, after) in [(before.first, after.moments.first), (before.second, after.moments.second)] {
@@ -278,22 +252,13 @@ fn a_reset_zeroes_the_moments_of_opacities_and_no_others() {
 }
 
 #[test]
-fn changed_genes_keep_their_moments_or_lose_them_as_asked() {
-    let changed = |policy| {
-        let mut backend = stepped();
-        let before = backend.state().unwrap().moments;
-        let genes = [0.5; 7];
-        backend.apply(&SparseDelta { rows: vec![3, 8], genes: vec![genes; 2] }, policy).unwrap();
-        let after = backend.state().unwrap();
-        assert_eq!([3, 8].map(|row| after.cloud.genes(row)), [genes; 2]);
-        (before, after.moments)
-    };
-    let (before, after) = changed(MomentPolicy::Keep);
-    assert_eq!(after, before);
-    let (before, after) = changed(MomentPolicy::Zero);
-    for (mut expected, after) in [(before.first, after.first), (before.second, after.second)] {
-        assert!(expected.genes(3) != [0.0; 7], "there was something to zero");
-        [3, 8].into_iter().for_each(|row| expected.set_genes(row, &[0.0; 7]));
-        assert_eq!(after, expected);
-    }
+fn changed_genes_keep_their_moments_and_the_mean() {
+    let mut backend = stepped();
+    backend.add_to_mean().unwrap();
+    let before = backend.state().unwrap();
+    let delta = SparseDelta { rows: vec![3, 8], genes: vec![[0.5; 7]; 2] };
+    backend.edit(Edit::Genes(&delta)).unwrap();
+    let after = backend.state().unwrap();
+    assert_eq!([3, 8].map(|row| after.cloud.genes(row)), [[0.5; 7]; 2]);
+    assert_eq!((after.moments, after.mean), (before.moments, before.mean));
 }

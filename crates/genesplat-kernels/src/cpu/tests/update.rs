@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 use genesplat_core::backend::McmcStep;
-use genesplat_core::{Backend, Gaussians, Moments, ScreenFilter, TrainStep};
+use genesplat_core::{Device, Gaussians, Moments, Renderer, ScreenFilter, TrainStep};
 
 use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, inputs, mcmc_step};
 use crate::cpu::update::for_tests::{colours_as_they_are, gradients};

@@ -12,7 +12,7 @@ pub(crate) struct ChunkGradients {
     pub genes: Box<[Genes; CHUNK]>,
     pub rotations: Box<[[f32; 4]; CHUNK]>,
     pub sh: Box<[[f32; SH_STRIDE]; CHUNK]>,
-    /// Density signal, and what goes with it: see [`super::statistics::density`] `[CHUNK, 2]`.
+    /// Density signal and its weight: see [`super::statistics::density`] `[CHUNK, 2]`.
     pub density: Box<[[f32; 2]; CHUNK]>,
     /// Rows with a splat.
     pub touched: Vec<u32>,
@@ -75,7 +75,6 @@ pub(crate) struct RowsMut<'a> {
 pub(crate) struct StatisticsMut<'a> {
     pub gradient_sum: &'a mut [f32],
     pub weight_sum: &'a mut [f32],
-    pub absolute_sum: &'a mut [f32],
     pub gene_gradient_sum: &'a mut [Genes],
     pub gene_views: &'a mut [u32],
 }
@@ -120,14 +119,12 @@ pub(crate) fn rows_mut(cloud: &mut Gaussians) -> impl Iterator<Item = RowsMut<'_
 fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = StatisticsMut<'_>> {
     let mut gradient_sum = statistics.gradient_sum.chunks_mut(CHUNK);
     let mut weight_sum = statistics.weight_sum.chunks_mut(CHUNK);
-    let mut absolute_sum = statistics.absolute_sum.chunks_mut(CHUNK);
     let mut gene_gradient_sum = statistics.gene_gradient_sum.chunks_mut(CHUNK);
     let mut gene_views = statistics.gene_views.chunks_mut(CHUNK);
     std::iter::from_fn(move || {
         Some(StatisticsMut {
             gradient_sum: gradient_sum.next().unwrap_or_default(),
             weight_sum: weight_sum.next().unwrap_or_default(),
-            absolute_sum: absolute_sum.next().unwrap_or_default(),
             gene_gradient_sum: gene_gradient_sum.next().unwrap_or_default(),
             gene_views: gene_views.next().unwrap_or_default(),
         })

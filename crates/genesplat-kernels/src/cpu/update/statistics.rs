@@ -7,8 +7,7 @@ use crate::cpu::blend::gradient_row::column;
 use crate::cpu::simd::LANES;
 use crate::cpu::view::Pinhole;
 
-/// The density signal of one view of a splat, by normalised device coordinate, and its weight or, where that is 1, the
-/// absolute gradient.
+/// The density signal of one view of a splat, by normalised device coordinate, and its weight.
 #[inline(always)]
 pub(crate) fn density(
     signal: Option<DensitySignal>,
@@ -18,19 +17,14 @@ pub(crate) fn density(
     camera: &Pinhole,
     depth: f32,
 ) -> [f32; 2] {
-    let by_ndc = |gradient: [f32; 2]| {
-        [gradient[0] * 0.5 * camera.size_px[0] as f32, gradient[1] * 0.5 * camera.size_px[1] as f32]
-    };
     let ndc = |gradient: [f32; 2]| {
-        let [x, y] = by_ndc(gradient);
+        let [x, y] = [gradient[0] * 0.5 * camera.size_px[0] as f32, gradient[1] * 0.5 * camera.size_px[1] as f32];
         (x * x + y * y).sqrt()
     };
-    let absolute = [sums[column::ABS_X][lane], sums[column::ABS_Y][lane]];
     match signal {
         None => [0.0; 2],
         Some(DensitySignal::Signed) => [ndc(mean_px), 1.0],
-        Some(DensitySignal::Absolute) => [ndc(absolute), 1.0],
-        Some(DensitySignal::SignedAndAbsolute) => [ndc(mean_px), by_ndc(absolute).iter().sum()],
+        Some(DensitySignal::Absolute) => [ndc([sums[column::ABS_X][lane], sums[column::ABS_Y][lane]]), 1.0],
         Some(DensitySignal::PixelWeighted { depth_threshold }) => {
             let near = (depth / depth_threshold).powi(2).min(1.0);
             let pixels = sums[column::PIXELS][lane];
@@ -50,18 +44,15 @@ pub(crate) fn add_statistics(
     if let Some(signal) = request.density {
         for (local, &is_seen) in seen.iter().enumerate() {
             // Geometric visibility counts, even where no pixel was touched, as in 3DGS's code.
-            let [strength, beside] = gradients.density[local];
+            let [strength, weight] = gradients.density[local];
             // What lies behind a mask alone would have its mean lowered by views that say nothing of it.
             if is_seen && !(is_masked && strength == 0.0) {
                 out.gradient_sum[local] += strength;
-                match signal {
-                    DensitySignal::PixelWeighted { .. } => out.weight_sum[local] += beside,
-                    DensitySignal::Signed | DensitySignal::Absolute => out.weight_sum[local] += 1.0,
-                    DensitySignal::SignedAndAbsolute => {
-                        out.weight_sum[local] += 1.0;
-                        out.absolute_sum[local] += beside;
-                    }
-                }
+                out.weight_sum[local] += match signal {
+                    DensitySignal::PixelWeighted { .. } => weight,
+                    // Of what is seen without a splat, too, which has no weight of its own.
+                    DensitySignal::Signed | DensitySignal::Absolute => 1.0,
+                };
             }
         }
     }

@@ -7,9 +7,8 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::backend::MomentPolicy;
 use genesplat::core::gaussians::{logit, sigmoid};
-use genesplat::core::{Backend, EvolutionBackend, Gaussians, Held, RenderSettings, Rng, SparseDelta};
+use genesplat::core::{Device, Edit, Gaussians, Held, RenderSettings, Renderer, Rng, SparseDelta};
 use genesplat::evolve::{GeneticAlgorithm, GeneticConfig, Magnitude};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
@@ -100,12 +99,12 @@ fn score_plainly(
     let (mut losses, mut seconds) = (Vec::new(), 0.0);
     for individual in individuals {
         let base = backend.download()?.genes_of(&individual.rows);
-        backend.apply(individual, MomentPolicy::Keep)?;
+        backend.edit(Edit::Genes(individual))?;
         let clock = Instant::now();
         let measured = backend.measure(Held::Cloud, views, settings)?;
         losses.extend(measured.into_iter().map(|measured| measured.loss));
         seconds += clock.elapsed().as_secs_f64();
-        backend.apply(&base, MomentPolicy::Keep)?;
+        backend.edit(Edit::Genes(&base))?;
     }
     Ok((losses, seconds))
 }

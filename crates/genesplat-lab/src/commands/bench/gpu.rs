@@ -7,8 +7,8 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::backend::{MomentPolicy, StepReport};
-use genesplat::core::{Backend, BackendError, EvolutionBackend, Held, RenderSettings, SparseDelta, View};
+use genesplat::core::backend::StepReport;
+use genesplat::core::{BackendError, Device, Edit, Held, RenderSettings, Renderer, SparseDelta, View};
 use genesplat::gpu::{GpuBackend, Work};
 use genesplat::run::device::{self, DeviceChoice, step_at_rest};
 use genesplat::run::output::without_drivers;
@@ -247,9 +247,9 @@ impl Bench {
         let cloud = self.backend.download()?.into_owned();
         let mut losses = Vec::new();
         for individual in individuals {
-            self.backend.apply(individual, MomentPolicy::Keep)?;
+            self.backend.edit(Edit::Genes(individual))?;
             losses.extend(self.plain_losses(1)?);
-            self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
+            self.backend.edit(Edit::Genes(&cloud.genes_of(&individual.rows)))?;
         }
         Ok(losses)
     }

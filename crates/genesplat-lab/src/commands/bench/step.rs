@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{Backend, Camera, RenderSettings};
+use genesplat::core::{Camera, Device, RenderSettings, Renderer};
 use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_intersection};
 use genesplat::run::device::step_at_rest;
 use genesplat::run::memory;

@@ -1,4 +1,5 @@
-use genesplat_core::Moments;
+use genesplat_core::gaussians::logit;
+use genesplat_core::{Gaussians, Moments};
 
 use super::*;
 

@@ -66,7 +66,7 @@ impl<W: Write> JointWriter<'_, W> {
     }
 
     fn statistics(&mut self, statistics: &Statistics) -> io::Result<()> {
-        for column in [&statistics.gradient_sum, &statistics.weight_sum, &statistics.absolute_sum] {
+        for column in [&statistics.gradient_sum, &statistics.weight_sum] {
             self.floats::<1>(column.as_chunks().0)?;
         }
         self.floats(&statistics.gene_gradient_sum)?;
@@ -173,7 +173,6 @@ impl<R: Read> ColumnReader<'_, R> {
         Ok(Statistics {
             gradient_sum: self.column()?,
             weight_sum: self.column()?,
-            absolute_sum: self.column()?,
             gene_gradient_sum: self.floats()?,
             gene_views: self.numbers()?,
         })
@@ -182,7 +181,7 @@ impl<R: Read> ColumnReader<'_, R> {
     pub(super) fn state(&mut self) -> Result<DeviceState, CheckpointError> {
         let (cloud, moments, statistics) = (self.cloud()?, self.moments()?, self.statistics()?);
         let mean = StateMean::new(self.value()?, self.cloud()?);
-        Ok(DeviceState { cloud, moments, statistics, mean, snapshot: None })
+        Ok(DeviceState { cloud, moments, statistics, mean })
     }
 
     pub(super) fn pictures(&mut self) -> Result<Vec<Arc<Photo>>, CheckpointError> {

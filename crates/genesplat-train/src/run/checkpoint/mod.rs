@@ -166,7 +166,6 @@ impl Checkpoint {
         let consistent = cloud.is_consistent()
             && moments.is_consistent(n)
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
-            && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
             && mean.mean().is_consistent()
             && [0, n].contains(&mean.mean().len());
@@ -218,12 +217,10 @@ mod tests {
                 statistics: Statistics {
                     gradient_sum: vec![1.0, 2.0, 3.0],
                     weight_sum: vec![4.0, 5.0, 6.0],
-                    absolute_sum: vec![7.0, 8.0, 9.0],
                     gene_gradient_sum: vec![[0.5; 7]; 3],
                     gene_views: vec![7, 8, 9],
                 },
                 mean: StateMean::new(4, Gaussians::zeros(3)),
-                snapshot: None,
             },
             virtual_pictures: (0..2).map(|_| Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() })).collect(),
         }
@@ -244,7 +241,6 @@ mod tests {
         checkpoint.virtual_pictures.clear();
         checkpoint.state.statistics.gene_gradient_sum.clear();
         checkpoint.state.statistics.gene_views.clear();
-        checkpoint.state.statistics.absolute_sum.clear();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
     }
 
@@ -297,9 +293,8 @@ mod tests {
 
     #[test]
     fn columns_must_agree() {
-        let spoil: [fn(&mut Checkpoint); 7] = [
+        let spoil: [fn(&mut Checkpoint); 6] = [
             |checkpoint| _ = checkpoint.state.statistics.weight_sum.pop(),
-            |checkpoint| _ = checkpoint.state.statistics.absolute_sum.pop(),
             |checkpoint| _ = checkpoint.state.statistics.gene_views.pop(),
             |checkpoint| _ = checkpoint.state.cloud.sh.pop(),
             |checkpoint| _ = checkpoint.state.moments.second.rotations.pop(),

@@ -71,8 +71,6 @@ pub(crate) struct FakeBackend {
     pub weight: Option<fn(usize, usize) -> f32>,
     /// Fitness is the mean squared distance of x from here.
     pub target: f32,
-    /// Squared errors rise where losses fall.
-    pub guards_disagree: bool,
     /// Squared errors grow by this factor with every call of `measure`.
     pub decline: f32,
     /// Calls of `measure` so far.
@@ -136,7 +134,6 @@ impl FakeBackend {
             scored_rows: Vec::new(),
             mean: StateMean::default(),
             snapshot: None,
-            guards_disagree: false,
             decline: 1.0,
             measured: 0,
         }
@@ -406,8 +403,7 @@ impl EvolutionBackend for FakeBackend {
         self.count_score();
         self.measured += 1;
         let loss = self.poison.unwrap_or_else(|| self.distance(&self.mean.look(&self.cloud, held)));
-        let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
-        Ok(vec![ViewLoss { loss, squared_error: squared_error * self.decline.powi(self.measured) }; views.len()])
+        Ok(vec![ViewLoss { loss, squared_error: loss * self.decline.powi(self.measured) }; views.len()])
     }
 
     fn take_mean(&mut self) -> Result<(), BackendError> {

@@ -1,12 +1,10 @@
 //! Losses of the cloud, or of the mean of its states, on training views, one full render each.
 
-use genesplat_core::state_mean::ViewLoss;
-use genesplat_core::{Held, RenderSettings};
+use genesplat_core::{Held, RenderSettings, ViewLoss};
 
+use super::held::{GpuBackend, ListsOf};
 use crate::Result;
-use crate::backend::GpuBackend;
 use crate::device::{Grid, Memory, shaders};
-use crate::queue::ListsOf;
 use crate::stages::pixels::Needs;
 use crate::state::window_uniform;
 

@@ -9,28 +9,17 @@
 //! fails it is tried once more without the buffers of steps, scores and blends, which can be made again
 //! ([`GpuBackend::with_memory`]).
 
-use bytemuck::Pod;
 use genesplat_core::backend::StepReport;
-use genesplat_core::{BackendError, DensitySignal, Held, TrainStep};
+use genesplat_core::{BackendError, Held, TrainStep};
 
+use super::held::GpuBackend;
 use crate::Result;
-use crate::backend::GpuBackend;
-use crate::device::{Engine, Memory};
-use crate::stages::lists::Lists;
+use crate::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
 use crate::stages::optimise::Optimise;
 use crate::stages::pixels::Needs;
-use crate::state::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
 
 /// Steps after which the host reads the device's flag: a round trip.
 pub(crate) const QUEUED_STEPS_MAX: usize = 32;
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum ListsOf {
-    /// Of the cloud, or of the mean in its place.
-    Cloud,
-    /// Of all row versions of a pool.
-    RowVersions,
-}
 
 impl GpuBackend {
     /// Submits one step; where there is no memory for it, once more without what only scores need.
@@ -56,16 +45,11 @@ impl GpuBackend {
             pixels.record_backward(recorder, lists, &pass);
             let optimiser = optimiser.as_ref();
             Optimise { state, lists, pixels, optimiser, step }.record(recorder);
-        })?;
-        self.state.statistics.has_absolute |= step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
-        Ok(())
+        })
     }
 
     /// Waits until every queued step is done, repeating those that an overflow has stopped.
     pub(crate) fn finish_queued_steps(&mut self) -> Result<()> {
-        if let Some(failure) = self.failure.take() {
-            return Err(failure);
-        }
         while !self.queued.is_empty() {
             let counters = self.take_done_steps()?;
             if counters.halted & HALT_NON_FINITE != 0 {
@@ -109,51 +93,5 @@ impl GpuBackend {
             }
             result => result,
         }
-    }
-
-    /// Frees what steps, scores and blends need; no step may be queued.
-    pub(crate) fn release_buffers(&mut self) -> Result<()> {
-        self.pool_buffers.release();
-        self.release_step_buffers().map(|_| ())
-    }
-
-    /// Frees what steps and blends need; true if there was anything.
-    pub(crate) fn release_step_buffers(&mut self) -> Result<bool> {
-        let before = self.allocated_bytes();
-        self.lists.release();
-        self.pixels.release();
-        self.state.release();
-        self.engine.wait()?;
-        Ok(self.allocated_bytes() < before)
-    }
-
-    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all are
-    /// submitted once more. Returns the first values of a buffer that the views fill, if one is named.
-    pub(crate) fn until_lists_fit<T: Pod>(
-        &mut self,
-        whose: ListsOf,
-        filled: Option<(&Memory, u64)>,
-        mut submit: impl FnMut(&mut Self) -> Result<()>,
-    ) -> Result<Vec<T>> {
-        // An attempt that ended with an error may have left some.
-        let (begun, engine) = self.lists_of(whose);
-        begun.clear_counters(engine);
-        loop {
-            submit(self)?;
-            let (lists, engine) = self.lists_of(whose);
-            let (counters, values) = lists.take_counters(engine, filled)?;
-            if counters.halted & HALT_OVERFLOW == 0 {
-                return Ok(values);
-            }
-            lists.grow(engine, counters.wanted)?;
-        }
-    }
-
-    fn lists_of(&mut self, whose: ListsOf) -> (&mut Lists, &Engine) {
-        let lists = match whose {
-            ListsOf::Cloud => &mut self.lists,
-            ListsOf::RowVersions => &mut self.pool_buffers.lists,
-        };
-        (lists, &self.engine)
     }
 }

@@ -1,13 +1,12 @@
 //! The verbs that change rows: plans of density control, opacity resets, genes, filters.
 
-use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{Origin, RowEdit, SparseDelta};
 
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Part, Recorder, shaders};
-use crate::state::layout::{
+use crate::layout::{
     Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_LONG_AXIS, ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT,
-    ORIGIN_SPLIT, ORIGIN_TWIN,
+    ORIGIN_SPLIT,
 };
 use crate::state::statistics::DeviceStatistics;
 use crate::state::{
@@ -22,7 +21,6 @@ fn plan_row(source: u32, origin: Origin) -> PlanRow {
         Origin::Kept => [source, ORIGIN_KEPT, 0, 0],
         Origin::Clone => [source, ORIGIN_CLONE, 0, 0],
         Origin::SplitChild { child } => [source, ORIGIN_SPLIT + u32::from(child), 0, 0],
-        Origin::Twin { child } => [source, ORIGIN_TWIN + u32::from(child), 0, 0],
         Origin::LongAxisChild { child } => [source, ORIGIN_LONG_AXIS + u32::from(child), 0, 0],
         Origin::Relocated { opacity_logit, log_scale_shift, keep_moments } => {
             let code = if keep_moments { ORIGIN_RELOCATED_KEPT } else { ORIGIN_RELOCATED };
@@ -35,25 +33,13 @@ impl State {
     /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
     /// All new columns are made before an old one goes, so that an edit that finds no memory changes nothing.
     pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
-        self.snapshot = self.replace_rows(engine, edit)?.snapshot;
+        let mut edited = self.edited(engine, edit)?;
+        std::mem::swap(&mut self.gradients, &mut edited.gradients);
+        *self = edited;
         Ok(())
     }
 
-    /// The same; the old columns become the snapshot.
-    pub(crate) fn edit_rows_on_trial(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
-        self.snapshot = Some(self.replace_rows(engine, edit)?.trained.into_settled(engine));
-        Ok(())
-    }
-
-    /// Returns the state before an edit; the one after it has no snapshot yet.
-    fn replace_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
-        let edited = self.edited(engine, edit)?;
-        let mut old = std::mem::replace(self, edited);
-        std::mem::swap(&mut self.gradients, &mut old.gradients);
-        Ok(old)
-    }
-
-    /// The state after an edit, as yet without memory for gradients, and without the snapshot.
+    /// The state after an edit, as yet without memory for gradients.
     fn edited(&self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
         let rows = edit.sources.len() as u64;
         let plan = edit.sources.iter().zip(&edit.origins);
@@ -82,12 +68,11 @@ impl State {
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
             mean: None,
-            snapshot: None,
         })
     }
 
     /// `opacity ← min(opacity, ceiling)` of the filtered opacity; opacity moments are zeroed.
-    pub(crate) fn reset_opacity(&mut self, engine: &Engine, ceiling: f32) -> Result<()> {
+    pub(crate) fn limit_opacities(&mut self, engine: &Engine, ceiling: f32) -> Result<()> {
         let edit = edit_uniform(engine, [0; 2], 0, ceiling)?;
         let mut recorder = Recorder::new(engine, None);
         for window in self.trained.windows() {
@@ -99,7 +84,8 @@ impl State {
         Ok(())
     }
 
-    pub(crate) fn apply(&mut self, engine: &Engine, delta: &SparseDelta, moments: MomentPolicy) -> Result<()> {
+    /// Moments stay.
+    pub(crate) fn set_genes(&mut self, engine: &Engine, delta: &SparseDelta) -> Result<()> {
         if delta.is_empty() {
             return Ok(());
         }
@@ -107,13 +93,11 @@ impl State {
         let rows = engine.upload("rows of an individual", &delta.rows)?;
         let genes = engine.upload("genes of an individual", &genes)?;
         let count = delta.rows.len() as u32;
-        let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
         let mut recorder = Recorder::new(engine, None);
         for window in self.trained.windows() {
             let uniform = window_uniform(engine, window.range(), [0, count])?;
-            let inputs = [uniform.all(), rows.all(), genes.all()];
-            let parts = [&inputs[..], &self.trained.geometry_at(window)].concat();
-            recorder.run_with(&shaders::APPLY, &overrides, &parts, Grid::Items(count.into()));
+            let parts = [uniform.all(), rows.all(), genes.all(), self.trained.geometry().at(window)];
+            recorder.run(&shaders::SET_GENES, &parts, Grid::Items(count.into()));
         }
         recorder.submit();
         Ok(())

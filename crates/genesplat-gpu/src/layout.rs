@@ -49,8 +49,7 @@ shared_constants! {
     SIGNAL_NONE = 0,
     SIGNAL_SIGNED = 1,
     SIGNAL_ABSOLUTE = 2,
-    SIGNAL_BOTH = 3,
-    SIGNAL_PIXELS = 4,
+    SIGNAL_PIXELS = 3,
     // Slots of the lengths that only the device knows, and their number.
     LENGTH_ROWS = 0,
     LENGTH_VISIBLE = 1,
@@ -63,14 +62,13 @@ shared_constants! {
     GRID_INTERSECTIONS = 3,
     GRID_TILE_SORT = 4,
     GRIDS = 5,
-    // Codes of `genesplat_core::Origin`; the second child of a split of either kind, and the second twin, is one more.
+    // Codes of `genesplat_core::Origin`; the second child of a split of either kind is one more.
     ORIGIN_KEPT = 0,
     ORIGIN_CLONE = 1,
     ORIGIN_SPLIT = 2,
     ORIGIN_RELOCATED = 4,
     ORIGIN_RELOCATED_KEPT = 5,
-    ORIGIN_TWIN = 6,
-    ORIGIN_LONG_AXIS = 8,
+    ORIGIN_LONG_AXIS = 6,
 }
 
 /// Floats of a splat.
@@ -83,12 +81,10 @@ pub(crate) const GEOMETRY_FLOATS: u32 = 12;
 pub(crate) const SH_FLOATS: u32 = 48;
 /// Floats of the gradients of one Gaussian: geometry; colour; density signal.
 pub(crate) const GRADIENT_FLOATS: u32 = 16;
-/// Floats of the density statistics of one Gaussian: gradient, weight, absolute gradient, nothing.
-pub(crate) const DENSITY_FLOATS: u32 = 4;
+/// Floats of the density statistics of one Gaussian: gradient, weight.
+pub(crate) const DENSITY_FLOATS: u32 = 2;
 /// Floats of the gene statistics of one Gaussian: seven sums, then the number of views.
 pub(crate) const GENE_FLOATS: u32 = 8;
-/// Floats of the contribution of one Gaussian: weight, error.
-pub(crate) const CONTRIBUTION_FLOATS: u32 = 2;
 
 /// Declares a `#[repr(C)]` struct and its WGSL twin.
 macro_rules! device_struct {

@@ -3,9 +3,11 @@
 //! Every value that a stage reads from another, or leaves for one, is counted once; what stays in registers and
 //! workgroup memory is not. On a large cloud, a stage that takes as long as this is as fast as the device's memory.
 
+use crate::layout::{
+    DENSITY_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE,
+};
 use crate::stages::lists::tile_bits;
 use crate::stages::sort::DIGIT_BITS;
-use crate::state::layout::{GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE};
 
 /// Reading and writing a key and a value, in each pass of a sort.
 const PASS_BYTES: u64 = 16;
@@ -29,8 +31,8 @@ impl Work {
     /// Bytes that a stage moves at least; 0 for one that is not known.
     pub fn bytes(&self, stage: &str) -> u64 {
         let Self { rows, visible, intersections, size_px: [width, height], .. } = *self;
-        let [geometry, splat, gradient, intersection_gradient] =
-            [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS]
+        let [geometry, splat, gradient, intersection_gradient, statistics] =
+            [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, DENSITY_FLOATS]
                 .map(|floats| 4 * u64::from(floats));
         let [evaluated, differentiated, moved] = self.colour_bytes();
         let pixels = width * height;
@@ -59,7 +61,7 @@ impl Work {
             }
             // Parameters and two moments are read and written: geometry of all rows, colours and density statistics of
             // what is visible, which alone has gradients.
-            "update" => rows * (6 * geometry + 4) + visible * (gradient + 6 * moved + 8 + 2 * 16),
+            "update" => rows * (6 * geometry + 4) + visible * (gradient + 6 * moved + 8 + 2 * statistics),
             _ => 0,
         }
     }
@@ -88,7 +90,7 @@ mod tests {
         // Six columns of 48 bytes and tile counts; of what is seen, gradients, six of 192 and its statistics, too.
         assert_eq!(work.bytes("update"), 1000 * (288 + 4));
         let seen = |sh_degree| Work { visible: 10, sh_degree, ..work }.bytes("update") - work.bytes("update");
-        assert_eq!([0, 1, 3].map(seen), [16, 48, 192].map(|moved| 10 * (64 + 6 * moved + 40)));
+        assert_eq!([0, 1, 3].map(seen), [16, 48, 192].map(|moved| 10 * (64 + 6 * moved + 24)));
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
         assert_eq!(work.bytes("nothing"), 0);
         // 10 by 6 tiles: six bits, one pass.

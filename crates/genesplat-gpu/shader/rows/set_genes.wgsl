@@ -1,13 +1,10 @@
 // Overwrites the genes of single rows, one an invocation.
 
-override ZERO_MOMENTS: bool;
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<storage, read> rows: array<u32>;
 // [K, 2] vectors: position, opacity logit; log-scales, nothing.
 @group(0) @binding(2) var<storage, read> genes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> geometry: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> first_moments: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> second_moments: array<vec4<f32>>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -22,10 +19,4 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     geometry[3u * local] = genes[2u * item];
     geometry[3u * local + 1u] = vec4(genes[2u * item + 1u].xyz, geometry[3u * local + 1u].w);
-    if ZERO_MOMENTS {
-        for (var i = 0u; i < 2u; i++) {
-            first_moments[3u * local + i] = vec4(0.0);
-            second_moments[3u * local + i] = vec4(0.0);
-        }
-    }
 }
