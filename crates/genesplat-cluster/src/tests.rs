@@ -11,7 +11,7 @@ use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
-use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Schedule, Silent, Start, TrainConfig, Variant, train};
+use genesplat_train::{Checkpoint, MethodName, Outcome, Schedule, Silent, Start, TrainConfig, train};
 
 use crate::wire::Writer;
 use crate::{ClusterBackend, Group, Threads};
@@ -42,18 +42,31 @@ fn points() -> Vec<ColouredPoint> {
     scene().points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
-fn config(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Schedule {
-    settings(variant, mode, views_per_step).resolve().unwrap()
+/// A short run with density control, and resets where the method has some.
+fn settings(method: MethodName, views_per_step: u32) -> TrainConfig {
+    let mut config = TrainConfig { views_per_step, max_gaussians: Some(2000), ..TrainConfig::of(method) };
+    if method == MethodName::Genesplat {
+        // The first densification and reset are in iteration 100, and virtual views are looked at from then on.
+        (config.iterations, config.method.virtual_views) = (210, 1);
+    } else {
+        config.steps_scale = 0.003;
+        (config.method.densify_every, config.method.reset_every) = (3, 15);
+    }
+    config
 }
 
-/// A short run with density control, resets, and stages of evolution.
-fn settings(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> TrainConfig {
-    let usual = TrainConfig { steps_scale: 0.003, max_gaussians: Some(2000), ..TrainConfig::published() };
-    let mut config = TrainConfig { variant, views_per_step, ..usual };
-    (config.densify.every, config.densify.reset_every) = (3, 15);
-    config.evolution.mode = mode;
-    config.evolution.renewal.virtual_views = Some(true);
-    (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
+/// The same with a search after each reset.
+fn searching(method: MethodName, views_per_step: u32) -> TrainConfig {
+    let mut config = settings(method, views_per_step);
+    let genetic = config.genetic.insert(Default::default());
+    (genetic.generations, genetic.population) = (2, 12);
+    config
+}
+
+/// The same with averages, towards what the photos can determine.
+fn averaging(method: MethodName, views_per_step: u32) -> TrainConfig {
+    let mut config = settings(method, views_per_step);
+    (config.method.averaging, config.method.capacity) = (true, 1.0);
     config
 }
 
@@ -140,49 +153,50 @@ fn stages(outcome: &Outcome) -> Vec<StageRecord> {
     stages.map(|stage| StageRecord { seconds: 0.0, population_bytes: 0, ..*stage }).collect()
 }
 
-fn check(variant: Variant, mode: EvolutionMode, views_per_step: u32, counts: &[usize]) {
-    let config = config(variant, mode, views_per_step);
+fn check(settings: TrainConfig, counts: &[usize]) {
+    let (method, has_stages) = (settings.method.name, settings.genetic.is_some() || settings.method.averaging);
+    let config = settings.resolve().unwrap();
     let expected = alone(&config, Start::Points(points()));
     for &count in counts {
         let Joint { outcome, .. } = on_ranks(count, &config, from_points, |_| {}, 0);
-        assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{variant}, {mode:?}, {count} ranks: another cloud");
-        assert_eq!(stages(&outcome), stages(&expected), "{variant}, {mode:?}, {count} ranks");
+        assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{method}, {count} ranks: another cloud");
+        assert_eq!(stages(&outcome), stages(&expected), "{method}, {count} ranks");
     }
     assert_ne!(expected.cloud.len(), points().len(), "density control has its part");
-    assert_eq!(expected.summary.stages.is_empty(), mode == EvolutionMode::Off);
+    assert_eq!(!expected.summary.stages.is_empty(), has_stages);
 }
 
 #[test]
-fn every_trainer_has_the_same_bytes_on_any_number_of_ranks() {
-    for variant in Variant::ALL {
-        let counts: &[usize] = if variant == Variant::ThreeDgs { &[1, 2, 3, 4] } else { &[3] };
-        check(variant, EvolutionMode::Off, 1, counts);
+fn every_method_has_the_same_bytes_on_any_number_of_ranks() {
+    for method in MethodName::ALL {
+        let is_first = matches!(method, MethodName::Genesplat | MethodName::ThreeDgs);
+        let counts: &[usize] = if is_first { &[1, 2, 3, 4] } else { &[3] };
+        check(settings(method, 1), counts);
     }
 }
 
 #[test]
 fn steps_of_several_views_have_the_same_bytes_on_any_number_of_ranks() {
-    check(Variant::MipSplatting, EvolutionMode::Off, 4, &[2, 4]);
-    check(Variant::Mcmc, EvolutionMode::Renew, 4, &[3]);
+    check(settings(MethodName::MipSplatting, 4), &[2, 4]);
+    check(averaging(MethodName::Mcmc, 4), &[3]);
 }
 
 #[test]
 fn a_search_has_the_same_bytes_on_any_number_of_ranks() {
-    check(Variant::ThreeDgs, EvolutionMode::Paper, 1, &[1, 2, 3, 4]);
-    check(Variant::MipSplatting, EvolutionMode::Paper, 1, &[4]);
+    check(searching(MethodName::ThreeDgs, 1), &[1, 2, 3, 4]);
+    check(searching(MethodName::MipSplatting, 1), &[4]);
 }
 
 #[test]
-fn selection_averages_and_renewals_have_the_same_bytes_on_any_number_of_ranks() {
-    check(Variant::ThreeDgs, EvolutionMode::Renew, 1, &[4]);
-    check(Variant::MipSplatting, EvolutionMode::Renew, 1, &[1, 2, 3, 4]);
-    check(Variant::PixelGs, EvolutionMode::Renew, 1, &[3]);
+fn averages_have_the_same_bytes_on_any_number_of_ranks() {
+    check(averaging(MethodName::MipSplatting, 1), &[1, 2, 3, 4]);
+    check(averaging(MethodName::PixelGs, 1), &[3]);
 }
 
 /// Floats that are added rank by rank, not tile by tile.
 #[test]
 fn sums_in_the_order_of_the_ranks_are_noticed() {
-    let config = config(Variant::ThreeDgs, EvolutionMode::Off, 1);
+    let config = settings(MethodName::ThreeDgs, 1).resolve().unwrap();
     let expected = alone(&config, Start::Points(points()));
     let Joint { outcome, .. } = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
     assert!(bits(&outcome.cloud) != bits(&expected.cloud));
@@ -191,8 +205,9 @@ fn sums_in_the_order_of_the_ranks_are_noticed() {
 /// Stopped by one of three ranks, within a search of two that go on, and finished by four.
 #[test]
 fn a_stopped_run_goes_on_with_another_number_of_ranks() {
-    for (mode, stops) in [(EvolutionMode::Paper, [20, 46]), (EvolutionMode::Renew, [44, 70])] {
-        let config = config(Variant::MipSplatting, mode, 1);
+    let search = searching(MethodName::MipSplatting, 1);
+    for (config, stops) in [(search, [20, 46]), (settings(MethodName::Genesplat, 1), [120, 190])] {
+        let config = config.resolve().unwrap();
         let expected = alone(&config, Start::Points(points()));
         let mut checkpoint: Option<Vec<u8>> = None;
         for (count, stop) in [(3, stops[0]), (2, stops[1]), (4, 0)] {
@@ -206,7 +221,7 @@ fn a_stopped_run_goes_on_with_another_number_of_ranks() {
             let joint = on_ranks(count, &config, start, |_| {}, stop);
             assert_eq!(joint.checkpoint.is_some(), stop > 0);
             if stop == 0 {
-                assert!(bits(&joint.outcome.cloud) == bits(&expected.cloud), "{mode:?}");
+                assert!(bits(&joint.outcome.cloud) == bits(&expected.cloud), "{}", config.config().method.name);
             }
             checkpoint = joint.checkpoint;
         }
@@ -216,14 +231,16 @@ fn a_stopped_run_goes_on_with_another_number_of_ranks() {
 /// The file that ranks write together is that of one process, but for the clock.
 #[test]
 fn ranks_write_the_checkpoint_of_one_process() {
-    for (variant, has_trial) in [(Variant::MipSplatting, false), (Variant::PixelGs, true)] {
-        let settings = settings(variant, EvolutionMode::Renew, 4);
-        let config = TrainConfig { checkpoint_every: 64, ..settings }.resolve().unwrap();
+    let of_mip = TrainConfig { checkpoint_every: 64, ..averaging(MethodName::MipSplatting, 4) };
+    // In the middle of a step of four views.
+    let of_ours = TrainConfig { checkpoint_every: 65, ..settings(MethodName::Genesplat, 4) };
+    for config in [of_mip, of_ours] {
+        let (is_ours, config) = (config.method.name == MethodName::Genesplat, config.resolve().unwrap());
         let of_one = checkpoint_alone(&config);
-        assert!(of_one.trial.is_some() == has_trial && of_one.state.mean.states() > 0, "{variant}");
-        assert!(!of_one.virtual_pictures.is_empty(), "{variant}");
+        assert!(of_one.state.mean.states() > 0 && of_one.state.cloud.filter_3d.is_some() != is_ours);
+        assert!(of_one.virtual_pictures.is_empty() != is_ours && of_one.state.moments.pending.is_empty() != is_ours);
         let of_ranks = on_ranks(3, &config, from_points, |_| {}, 0).checkpoint.unwrap();
-        assert!(timeless(Checkpoint::read(of_ranks.as_slice()).unwrap()) == timeless(of_one), "{variant}");
+        assert!(timeless(Checkpoint::read(of_ranks.as_slice()).unwrap()) == timeless(of_one), "ours: {is_ours}");
     }
 }
 
@@ -238,7 +255,7 @@ fn checkpoint_alone(config: &Schedule) -> Checkpoint {
 /// The bytes of a checkpoint without its seconds.
 fn timeless(mut checkpoint: Checkpoint) -> Vec<u8> {
     checkpoint.progress.seconds = Default::default();
-    checkpoint.progress.stages.iter_mut().chain(&mut checkpoint.trial).for_each(|stage| stage.seconds = 0.0);
+    checkpoint.progress.stages.iter_mut().for_each(|stage| stage.seconds = 0.0);
     let mut bytes = Vec::new();
     checkpoint.write(&mut bytes).unwrap();
     bytes
@@ -262,7 +279,7 @@ fn a_rank_without_room_for_the_result_is_not_alone_with_that() {
 /// Columns that begin with the step exist on the other ranks then. What is saved has none of them, and is where a run can go on.
 #[test]
 fn a_rank_without_room_for_a_step_spoils_no_checkpoint() {
-    let config = config(Variant::ThreeDgs, EvolutionMode::Paper, 4);
+    let config = searching(MethodName::ThreeDgs, 4).resolve().unwrap();
     let of_rank = |ranks: Threads, rank: usize| {
         let (group, stop) = (Group::new(ranks, Arc::default(), Arc::default()), AtomicBool::new(false));
         let (mut backend, mut observer) = (ClusterBackend::new(group.clone()), Asks::default());

@@ -1,4 +1,4 @@
-//! The gallery, trained on a graphics device and on the CPU, for every variant and with evolution: photos must come out
+//! The gallery, trained on a graphics device and on the CPU, by every method and with the search: photos must come out
 //! alike.
 //!
 //! Needs a driver, like the other tests of this crate.
@@ -15,11 +15,10 @@ use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
 use genesplat_train::observe::StepLog;
 use genesplat_train::{
-    Checkpoint, EvolutionMode, Observer, Outcome, Schedule, Silent, StageKind, StageRecord, Start, TrainConfig,
-    Trigger, Variant, train,
+    Checkpoint, MethodName, Observer, Outcome, Schedule, Silent, StageKind, StageRecord, Start, TrainConfig, train,
 };
 
-/// Largest difference of PSNR of one run, dB. Seen on Mesa's lavapipe: 0.002, and 0.02 with evolution.
+/// Largest difference of PSNR of one run, dB. Seen on Mesa's lavapipe: 0.002, and 0.02 with a search.
 const TOLERANCE_DB: f64 = 0.1;
 
 const SEED: u64 = 1;
@@ -29,33 +28,35 @@ fn scene() -> Scene {
     genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth)
 }
 
-/// A whole schedule in 150 iterations: densification, an opacity reset, all degrees of the spherical harmonics.
-fn config(variant: Variant) -> TrainConfig {
-    let mut config = TrainConfig { variant, seed: SEED, steps_scale: 0.005, ..TrainConfig::default() };
-    (config.densify.every, config.densify.reset_every) = (15, 45);
-    config.max_gaussians = Some(600);
-    config.evolution.mode = EvolutionMode::Off;
+/// A whole schedule in 150 iterations: densification, an opacity reset, all degrees of the spherical harmonics. Ours has
+/// no interval below a hundred iterations.
+fn config(method: MethodName) -> TrainConfig {
+    let mut config = TrainConfig { seed: SEED, max_gaussians: Some(600), ..TrainConfig::of(method) };
+    if method == MethodName::Genesplat {
+        config.iterations = 220;
+    } else {
+        config.steps_scale = 0.005;
+        (config.method.densify_every, config.method.reset_every) = (15, 45);
+    }
     config
 }
 
-/// The first 60 iterations of it, without the reset, which would leave little to see: with a search after the
-/// densification in the 30th; or with a renewal begun in the 44th and measured in the 52nd, and averages kept then or
-/// in the 60th.
-fn evolving(mode: EvolutionMode) -> Schedule {
-    let mut config = TrainConfig { iterations: 12_000, ..config(Variant::ThreeDgs) };
-    config.densify.reset_every = 30_000;
-    let evolution = &mut config.evolution;
-    (evolution.mode, evolution.views) = (mode, 2);
-    if mode == EvolutionMode::Paper {
-        (evolution.trigger, evolution.stride) = (Trigger::AfterDensify, 2);
-    } else {
-        // Colours that swing from step to step, so that their mean is better.
-        config.optimiser.sh_dc = 0.2;
-    }
-    let evolution = &mut config.evolution;
-    (evolution.paper.population, evolution.paper.generations) = (12, 2);
-    evolution.paper.initial_mutation_rate = 0.5;
-    (evolution.renewal.every, evolution.renewal.selection) = (2.0 / 15.0, false);
+/// The first 60 iterations of 3DGS, with a search after a reset in the 30th.
+fn searching() -> Schedule {
+    let mut config = TrainConfig { iterations: 12_000, ..config(MethodName::ThreeDgs) };
+    config.method.reset_every = 30;
+    let genetic = config.genetic.insert(Default::default());
+    (genetic.views, genetic.population, genetic.generations) = (2, 12, 2);
+    genetic.initial_mutation_rate = 0.5;
+    config.resolve().unwrap()
+}
+
+/// The same without the reset, which would leave little to see, and with averages of the last 24.
+fn averaging() -> Schedule {
+    let mut config = TrainConfig { iterations: 12_000, ..config(MethodName::ThreeDgs) };
+    (config.method.reset_every, config.method.averaging) = (30_000, true);
+    // Colours that swing from step to step, so that their mean is better.
+    config.method.feature_rate = 0.2;
     config.resolve().unwrap()
 }
 
@@ -82,7 +83,7 @@ fn points(scene: &Scene) -> Start {
 /// What the first 30 iterations of 3DGS make of the points, each longest along one axis. Improved-GS parts children along
 /// it, and of a ball rounding chooses it.
 fn ellipsoids(scene: &Scene) -> Gaussians {
-    let config = TrainConfig { iterations: 6000, ..config(Variant::ThreeDgs) }.resolve().unwrap();
+    let config = TrainConfig { iterations: 6000, ..config(MethodName::ThreeDgs) }.resolve().unwrap();
     let (run, _) = trained(&mut CpuBackend::new(), scene, points(scene), &config);
     let mut cloud = run.cloud;
     for [long, _, short] in &mut cloud.log_scales {
@@ -113,45 +114,45 @@ fn the_gallery_comes_out_as_on_the_cpu() {
     let scene = scene();
     let ellipsoids = ellipsoids(&scene);
     let mut others: Vec<Gaussians> = Vec::new();
-    for variant in Variant::ALL {
-        eprintln!("{variant}:");
-        // Fifty of the 75 iterations after the last densification show nothing more.
-        let mut config = TrainConfig { iterations: 20_000, ..config(variant) };
+    for method in MethodName::ALL {
+        eprintln!("{method}:");
+        let mut config = config(method);
+        if method != MethodName::Genesplat {
+            // Fifty of the 75 iterations after the last densification show nothing more.
+            config.iterations = 20_000;
+        }
         // Some grow and others do not, so that it matters by which gradient.
-        config.densify.gradient_threshold = Some(5e-4);
+        config.method.gradient_threshold = 5e-4;
         let config = config.resolve().unwrap();
-        let start = || match variant {
-            Variant::ImprovedGs => Start::Cloud(ellipsoids.clone()),
+        let start = || match method {
+            MethodName::Genesplat | MethodName::ImprovedGs => Start::Cloud(ellipsoids.clone()),
             _ => points(&scene),
         };
         let (_, ours) = trained(&mut gpu, &scene, start(), &config);
         let (twin, theirs) = trained(&mut CpuBackend::new(), &scene, start(), &config);
-        assert!(!others.contains(&twin.cloud), "{variant} differs from the others");
+        assert!(!others.contains(&twin.cloud), "{method} differs from the others");
         others.push(twin.cloud);
         // MCMC begins with noise and decay, and has no time to outgrow them here.
-        assert!(theirs > 14.0 || variant == Variant::Mcmc, "{variant} learns something: {theirs:.2} dB");
-        assert_alike(variant.name(), ours, theirs);
+        assert!(theirs > 14.0 || method == MethodName::Mcmc, "{method} learns something: {theirs:.2} dB");
+        assert_alike(method.name(), ours, theirs);
     }
 }
 
 #[test]
-fn evolution_comes_out_as_on_the_cpu_and_a_stop_changes_nothing() {
+fn a_search_and_a_mean_come_out_as_on_the_cpu_and_a_stop_changes_nothing() {
     let Some(mut gpu) = gpu() else { return };
     let scene = scene();
-    for mode in [EvolutionMode::Paper, EvolutionMode::Renew] {
-        eprintln!("{}:", mode.name());
-        let config = evolving(mode);
+    for (kind, config) in [(StageKind::Genetic, searching()), (StageKind::Averaging, averaging())] {
+        eprintln!("{}:", kind.name());
         let (run, ours) = trained(&mut gpu, &scene, points(&scene), &config);
         let (twin, theirs) = trained(&mut CpuBackend::new(), &scene, points(&scene), &config);
         eprintln!("{:?}", stages(&run));
         assert_eq!(stages(&run), stages(&twin));
-        for &kind in kinds_of(mode) {
-            let took_part = |stage: &StageRecord| stage.kind == kind && stage.changed > 0;
-            assert!(run.summary.stages.iter().any(took_part), "{kind:?}: {:?}", run.summary.stages);
-        }
-        assert_alike(mode.name(), ours, theirs);
-        if mode == EvolutionMode::Renew {
-            // A renewal is on trial then, and states of a window have been remembered.
+        let took_part = |stage: &StageRecord| stage.kind == kind && stage.changed > 0;
+        assert!(run.summary.stages.iter().any(took_part), "{:?}", run.summary.stages);
+        assert_alike(kind.name(), ours, theirs);
+        if kind == StageKind::Averaging {
+            // States have been remembered then.
             same(&stopped_and_resumed(&mut gpu, &scene, &config, 48), &run);
         }
     }
@@ -162,22 +163,16 @@ fn evolution_comes_out_as_on_the_cpu_and_a_stop_changes_nothing() {
 fn virtual_views_come_out_as_on_the_cpu_and_a_stop_changes_nothing() {
     let Some(mut gpu) = gpu() else { return };
     let scene = scene();
-    // 30 of them: what grows later is chosen by numbers that devices round differently.
-    let mut config = TrainConfig { iterations: 6000, ..config(Variant::ThreeDgs) };
-    config.evolution.mode = EvolutionMode::Renew;
-    config.evolution.renewal.virtual_views = Some(true);
+    // Too short to grow: what does is chosen by numbers that devices round differently.
+    let mut config = TrainConfig { iterations: 140, ..config(MethodName::Genesplat) };
+    config.method.virtual_views = 1;
     let config = config.resolve().unwrap();
     let steps = config.virtual_steps(scene.train.len()).unwrap();
-    assert!(steps.from < 20, "the run is stopped among them");
+    assert!(steps.from < 120, "the run is stopped among them");
     let (run, ours) = trained(&mut gpu, &scene, points(&scene), &config);
     let (_, theirs) = trained(&mut CpuBackend::new(), &scene, points(&scene), &config);
     assert_alike("virtual views", ours, theirs);
-    same(&stopped_and_resumed(&mut gpu, &scene, &config, 22), &run);
-}
-
-/// What a run in this mode must have changed something by, for the test to mean anything.
-fn kinds_of(mode: EvolutionMode) -> &'static [StageKind] {
-    if mode == EvolutionMode::Paper { &[StageKind::Paper] } else { &[StageKind::Renewal, StageKind::Averaging] }
+    same(&stopped_and_resumed(&mut gpu, &scene, &config, 122), &run);
 }
 
 fn stages(run: &Outcome) -> Vec<(StageKind, u32)> {

@@ -246,7 +246,7 @@ mod tests {
         let name = left.file_name().unwrap().to_str().unwrap().to_owned();
         let serial: u32 = name.trim_end_matches(".tmp").rsplit('-').next().unwrap().parse().unwrap();
         // The next names are taken as well.
-        let next = |more: u32| left.with_file_name(format!(".genesplat-{}-{}.tmp", std::process::id(), serial + more));
+        let next = |more: u32| left.with_file_name(format!(".genesplat-{}-{}.tmp", process::id(), serial + more));
         (1..200).for_each(|more| fs::write(next(more), b"left").unwrap());
         let path = folder.path().join("x".repeat(250));
         write_atomically(&path, |out| out.write_all(b"whole")).unwrap();
@@ -298,7 +298,7 @@ mod tests {
     fn pipes_and_devices_take_the_bytes_and_stay() {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
-        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert!(process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         check_writable(&pipe).unwrap();
         let reader = std::thread::spawn({
             let pipe = pipe.clone();

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{Backend, Held};
+use genesplat_core::{Device, Held};
 use genesplat_train::{MethodName, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, resumed, timeless, views};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::gaussians::logit;
-use genesplat_core::{Backend, DensitySignal, Origin, RenderSettings, RowEdit};
+use genesplat_core::{DensitySignal, Device, Origin, RenderSettings, RowEdit};
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{MethodName, Outcome, Silent, Start, TrainConfig, edge_scores, train};
 
@@ -46,7 +46,7 @@ fn scores_are_multiples_of_the_mean_of_what_is_seen() {
     assert_eq!(scores(&[0, 2]), [0.25, 0.5, 0.75, 0.5]);
     assert_eq!(scores(&[0, 1, 2, 2]), [0.125, 0.5, 0.375, 0.25]);
     assert_eq!(scores(&[1]), [0.0; 4]);
-    let weighed = |call: &Call| matches!(call, Call::Weigh { views, pixels: 64 } if *views == [0, 1, 2, 2]);
+    let weighed = |call: &Call| matches!(call, Call::BlendingWeights { views, pixels: 64 } if *views == [0, 1, 2, 2]);
     assert_eq!(backend.calls.iter().filter(|call| weighed(call)).count(), 1, "all views are weighed at once");
 }
 
@@ -74,7 +74,7 @@ fn ten_views_in_turn_have_a_say_and_sometimes_all() {
     let mut seen = Vec::new();
     for call in &backend.calls {
         match call {
-            Call::Weigh { views, .. } => seen.extend(views),
+            Call::BlendingWeights { views, .. } => seen.extend(views),
             Call::Edit(_) => of_event.push(std::mem::take(&mut seen)),
             _ => {}
         }
@@ -97,8 +97,8 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
     (config.method.densify_every, config.method.reset_every) = (100, 3000);
     (config.max_gaussians, config.method.opacity_rate) = (Some(20), 0.0);
     run(&mut backend, config);
-    let resets: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::ResetOpacity(_))).collect();
-    assert_eq!(resets, [&Call::ResetOpacity(0.05); 2]);
+    let resets: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::OpacityCeiling(_))).collect();
+    assert_eq!(resets, [&Call::OpacityCeiling(0.05); 2]);
     let sizes: Vec<(u32, usize)> = backend.edits().map(|edit| (edit.iteration, edit.sources.len())).collect();
     let size = |i| sizes.iter().find(|(iteration, _)| *iteration == i).unwrap().1;
     assert_eq!([3200, 3300, 6200, 6300, 6400].map(size), [20, 16, 16, 13, 13], "a fifth each time");
@@ -110,7 +110,7 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
 fn weighed(backend: &FakeBackend, i: u32) -> usize {
     let at = |i| backend.calls.iter().position(|call| matches!(call, Call::Edit(edit) if edit.iteration == i));
     let calls = backend.calls[at(i - 100).unwrap_or(0)..at(i).unwrap()].iter();
-    calls.map(|call| if let Call::Weigh { views, .. } = call { views.len() } else { 0 }).sum()
+    calls.map(|call| if let Call::BlendingWeights { views, .. } = call { views.len() } else { 0 }).sum()
 }
 
 /// With tens of thousands of photos, all would take longer than the whole run.
@@ -119,7 +119,7 @@ fn ours_asks_no_more_views_than_a_fiftieth_of_the_steps() {
     let mut backend = backend();
     let config = TrainConfig { iterations: 700, max_gaussians: Some(100), ..TrainConfig::default() };
     run(&mut backend, config);
-    assert!(backend.calls.contains(&Call::ResetOpacity(0.05)));
+    assert!(backend.calls.contains(&Call::OpacityCeiling(0.05)));
     // What was slow after the reset of iteration 100 is pruned in iteration 200.
     assert_eq!([100, 200, 300].map(|i| weighed(&backend, i)), [10, 10, 14]);
 }

@@ -81,7 +81,7 @@ fn counters_stand_still_where_steps_are_lost() {
 fn the_white_reset_costs_opacity_alone_a_step() {
     let mut backend = FakeBackend::new();
     run(&mut backend, short(|config| config.background = Background::White)).unwrap();
-    let [Call::Step(step), Call::ResetOpacity(ceiling)] = iteration(&backend, 50) else {
+    let [Call::Step(step), Call::OpacityCeiling(ceiling)] = iteration(&backend, 50) else {
         panic!("iteration 50: {:?}", iteration(&backend, 50))
     };
     let update = step.update.unwrap();
@@ -102,10 +102,10 @@ fn densification_precedes_the_reset_and_the_search_follows_it() {
         .map(|call| match call {
             Call::Step(_) => "step",
             Call::Edit(_) => "edit",
-            Call::ResetOpacity(_) => "reset",
+            Call::OpacityCeiling(_) => "reset",
             Call::Score { .. } => "score",
-            Call::Apply { .. } => "apply",
-            Call::ClearGeneGradients => "clear",
+            Call::Genes { .. } => "apply",
+            Call::ForgetGeneGradients => "clear",
             other => panic!("{other:?}"),
         })
         .collect();
@@ -219,7 +219,7 @@ fn size_prunes_only_after_the_first_reset() {
     let mut config = short(|_| {});
     config.method.prune_size = 0.08; // 0.176 world units: the line's ends are 0.216 wide, all others 0.141.
     let outcome = run(&mut backend, config).unwrap();
-    let [Call::Step(_), Call::Edit(at_300), Call::ResetOpacity(_)] = iteration(&backend, 300) else {
+    let [Call::Step(_), Call::Edit(at_300), Call::OpacityCeiling(_)] = iteration(&backend, 300) else {
         panic!("iteration 300: {:?}", iteration(&backend, 300))
     };
     assert_eq!(at_300.sources.len(), 20);
@@ -257,7 +257,7 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
     run(&mut backend, short_of(MethodName::MipSplatting, |_| {})).unwrap();
     assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: true });
     let at_300 = iteration(&backend, 300);
-    assert!(matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]), "{at_300:?}");
+    assert!(matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::OpacityCeiling(_)]), "{at_300:?}");
     assert!(matches!(iteration(&backend, 1500), [Call::Step(_)]), "not at the end of densification");
     assert!(matches!(iteration(&backend, 2980), [Call::Step(_), Call::Filter(20)]));
     assert!(matches!(iteration(&backend, 2990), [Call::Step(_)]), "frozen at the end");
@@ -289,7 +289,7 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
         assert_eq!((mcmc.opacity_weight, mcmc.scale_weight), (0.01, 0.01));
     }
     assert!(backend.steps().all(|step| step.statistics.density.is_none()), "nobody reads gradients");
-    assert!(!backend.calls.iter().any(|call| matches!(call, Call::ResetOpacity(_))));
+    assert!(!backend.calls.iter().any(|call| matches!(call, Call::OpacityCeiling(_))));
     assert_eq!(updates.len(), 2999, "and no step is lost but the last");
     // A twentieth of 20 to 26 is one a time.
     let rows: Vec<usize> = backend.edits().map(|edit| edit.sources.len()).collect();

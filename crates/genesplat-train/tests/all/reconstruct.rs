@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{Backend, Camera, EvolutionBackend, Gaussians, Rng, SparseDelta, Stream, View};
+use genesplat_core::{Camera, Device, Gaussians, Renderer, Rng, SparseDelta, Stream, View};
 use genesplat_evolve::GeneticConfig;
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;

@@ -4,7 +4,6 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{Gaussians, TrainStep};
 use genesplat_evolve::{Crossover, GeneticConfig, Magnitude};
 use genesplat_train::observe::{GenerationLog, StageLog};
@@ -44,7 +43,7 @@ fn run(backend: &mut FakeBackend, config: TrainConfig, stop: &AtomicBool) -> Res
 
 /// What was applied: moves to where individuals are scored from, the way back, and the best.
 fn applied(backend: &FakeBackend) -> Vec<&Call> {
-    backend.calls.iter().filter(|call| matches!(call, Call::Apply { .. })).collect()
+    backend.calls.iter().filter(|call| matches!(call, Call::Genes { .. })).collect()
 }
 
 #[test]
@@ -54,7 +53,7 @@ fn a_better_individual_replaces_the_base() {
     let stage = outcome.summary.stages[0];
     assert!(stage.fitness_after < stage.fitness_before, "{stage:?}");
     assert_eq!(stage.generations, GENERATIONS + 1, "the initial population counts");
-    let expected = Call::Apply { rows: stage.changed, moments: MomentPolicy::Keep };
+    let expected = Call::Genes { rows: stage.changed };
     assert_eq!(applied(&backend).last(), Some(&&expected));
     assert_ne!(outcome.cloud, cloud());
     // What was promised is what the device now holds.
@@ -133,7 +132,7 @@ fn stopping_within_a_stage_keeps_the_best_so_far() {
     assert!(outcome.summary.interrupted);
     assert_eq!(stage.generations, 2);
     assert!(stage.fitness_after < stage.fitness_before, "{stage:?}");
-    let expected = Call::Apply { rows: stage.changed, moments: MomentPolicy::Keep };
+    let expected = Call::Genes { rows: stage.changed };
     assert_eq!(applied(&backend).last(), Some(&&expected));
     let squares: f64 = outcome.cloud.positions.iter().map(|p| f64::from(p[0] - 3.0).powi(2)).sum();
     assert!((squares / 30.0 - stage.fitness_after).abs() < 1e-6, "the base came back before the best was applied");
@@ -181,7 +180,7 @@ fn the_search_is_the_same_for_all_methods() {
         let config = TrainConfig { genetic: Some(genetic()), ..TrainConfig::of(method) };
         let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
         assert_eq!(outcome.summary.stages[0].kind, StageKind::Genetic);
-        assert_eq!(backend.calls.last(), Some(&Call::ClearGeneGradients));
+        assert_eq!(backend.calls.last(), Some(&Call::ForgetGeneGradients));
         (outcome.cloud.positions, outcome.cloud.log_scales, outcome.cloud.opacity_logits)
     };
     let ours = found(MethodName::Genesplat);

@@ -3,7 +3,8 @@
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::dc_from_rgb;
 use genesplat_core::{
-    Backend, Camera, DensitySignal, Gaussians, Photo, RenderSettings, ScreenFilter, StatisticsRequest, TrainStep, View,
+    Camera, DensitySignal, Device, Edit, Gaussians, Photo, RenderSettings, Renderer, ScreenFilter, StatisticsRequest,
+    TrainStep, View,
 };
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_kernels::reference::{self, Cloud64, Cutoff, Statistics64};
@@ -145,7 +146,7 @@ fn mip_filters_by_hand() {
     }
 
     // A reset limits the filtered opacity: 0.8 · 8/27 = 0.237 falls to 0.01, the raw one to 0.01 · 27/8 = 0.03375.
-    backend.reset_opacity(0.01).unwrap();
+    backend.edit(Edit::OpacityCeiling(0.01)).unwrap();
     let raw = sigmoid(backend.download().unwrap().opacity_logits[0]);
     assert!((raw / 0.033_75 - 1.0).abs() < 1e-5, "{raw}");
 }

@@ -6,7 +6,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Instant;
 
-use genesplat_core::{Backend, RenderSettings, Sight};
+use genesplat_core::{Device, RenderSettings, Sight};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::{Exhibition, LiveView, Owner, Phase};
 use serde_json::Value;

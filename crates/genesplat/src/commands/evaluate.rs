@@ -41,7 +41,7 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     ensure!(
         !PHOTO_ENDINGS.contains(&&*ending(path)),
-        "{} is a picture; give another one after it, to measure how alike they are",
+        "{} is not a PLY or another splat but a picture; give a second one after it, to measure how alike they are",
         shown(path)
     );
     let lpips = lpips::open(&args.lpips.asked())?;

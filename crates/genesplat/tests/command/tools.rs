@@ -154,6 +154,7 @@ fn pictures_are_compared() {
     let smaller = finished_run().join("test/gallery_000.png");
     fail(["evaluate", text(&a), text(&smaller)], &["64x48", "56x42"]);
     fail(["evaluate", text(&a)], &["gallery_000.png is a picture", "give another one"]);
+    fail(["evaluate", text(&a)], &["gallery_000.png is not a PLY", "but a picture", "give a second one"]);
     let of_splats = run(["evaluate", text(&a), text(&a), "--max-side", "32"]);
     assert_eq!(of_splats.status.code(), Some(2), "a flag that says nothing of two pictures");
     assert_eq!(run(["evaluate"]).status.code(), Some(2), "nothing to evaluate");

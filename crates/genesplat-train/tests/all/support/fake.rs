@@ -6,11 +6,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use genesplat_core::backend::{MomentPolicy, StepReport};
+use genesplat_core::backend::StepReport;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
-    Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Held, Image, Moments,
-    RenderSettings, RowEdit, Snapshot, SparseDelta, StateMean, Statistics, TrainStep, View, ViewLoss,
+    BackendError, Camera, Device, DeviceState, Edit, Gaussians, Genes, Held, Image, Moments, RenderSettings, Renderer,
+    RowEdit, SparseDelta, StateMean, Statistics, TrainStep, Upload, View, ViewLoss,
 };
 
 /// What the pipeline asked for, in order; reads are not recorded.
@@ -25,19 +25,15 @@ pub(crate) enum Call {
     Step(TrainStep),
     DiscardQueuedSteps,
     Edit(RowEdit),
-    ResetOpacity(f32),
+    OpacityCeiling(f32),
     Filter(usize),
-    ClearGeneGradients,
-    Apply {
+    ForgetGeneGradients,
+    Genes {
         rows: usize,
-        moments: MomentPolicy,
     },
     AddToMean,
-    Contributions {
-        views: usize,
-    },
     /// With the pixels of all maps.
-    Weigh {
+    BlendingWeights {
         views: Vec<usize>,
         pixels: usize,
     },
@@ -49,7 +45,6 @@ pub(crate) enum Call {
     TakeMean {
         states: u32,
     },
-    RollBack,
     Score {
         individuals: usize,
         views: Vec<usize>,
@@ -61,7 +56,6 @@ pub(crate) enum Call {
 pub(crate) struct FakeBackend {
     pub calls: Vec<Call>,
     mean: StateMean,
-    pub snapshot: Option<Snapshot>,
     pub cloud: Gaussians,
     pub moments: Moments,
     pub statistics: Statistics,
@@ -133,7 +127,6 @@ impl FakeBackend {
             scores: 0,
             scored_rows: Vec::new(),
             mean: StateMean::default(),
-            snapshot: None,
             decline: 1.0,
             measured: 0,
         }
@@ -238,9 +231,28 @@ impl FakeBackend {
             }
         }
     }
+
+    fn edit_rows(&mut self, edit: &RowEdit) {
+        self.calls.push(Call::Edit(edit.clone()));
+        self.mean = StateMean::default();
+        edit.apply(&mut self.cloud, &mut self.moments);
+        if !self.statistics.gene_views.is_empty() {
+            self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
+            self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
+        }
+        self.zero_density();
+    }
+
+    fn limit_opacity(&mut self, ceiling: f32) {
+        self.calls.push(Call::OpacityCeiling(ceiling));
+        self.mean = StateMean::default();
+        for value in &mut self.cloud.opacity_logits {
+            *value = limited_opacity(*value, 1.0, ceiling);
+        }
+    }
 }
 
-impl Backend for FakeBackend {
+impl Renderer for FakeBackend {
     fn describe(&self) -> String {
         "fake".into()
     }
@@ -249,6 +261,20 @@ impl Backend for FakeBackend {
         self.cloud.len()
     }
 
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        self.settle()?;
+        Ok(Cow::Borrowed(&self.cloud))
+    }
+
+    fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
+        self.settle()?;
+        let mut image = Image::zeros(camera.width, camera.height);
+        image.planes.fill(self.distance(&self.cloud).fract());
+        Ok(image)
+    }
+}
+
+impl Device for FakeBackend {
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::SetViews(views.len()));
@@ -256,13 +282,13 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
-    fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
+    fn upload(&mut self, upload: Upload<'_>) -> Result<(), BackendError> {
         self.settle()?;
-        let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
+        let DeviceState { cloud, moments, statistics, mean } = upload.into_state();
         let (has_moments, n) = (!moments.first.is_empty(), cloud.len());
         self.calls.push(Call::Upload { rows: n, moments: has_moments, filter: cloud.filter_3d.is_some() });
         self.moments = if has_moments { moments } else { Moments::zeros(n) };
-        (self.cloud, self.mean, self.snapshot) = (cloud, mean, snapshot);
+        (self.cloud, self.mean) = (cloud, mean);
         let has_sums = !statistics.gradient_sum.is_empty();
         self.statistics = statistics;
         if !has_sums {
@@ -278,20 +304,7 @@ impl Backend for FakeBackend {
             moments: self.moments.clone(),
             statistics: self.statistics.clone(),
             mean: self.mean.clone(),
-            snapshot: self.snapshot.clone(),
         })
-    }
-
-    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        self.settle()?;
-        Ok(Cow::Borrowed(&self.cloud))
-    }
-
-    fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
-        self.settle()?;
-        let mut image = Image::zeros(camera.width, camera.height);
-        image.planes.fill(self.distance(&self.cloud).fract());
-        Ok(image)
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
@@ -316,57 +329,45 @@ impl Backend for FakeBackend {
         Ok(StepReport { loss: 0.5, visible: self.cloud.len(), intersections: 1 })
     }
 
+    fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
+        self.settle()?;
+        Ok(self.cloud.all_genes())
+    }
+
+    fn end_training(&mut self) -> Result<(), BackendError> {
+        Ok(())
+    }
+
+    fn edit(&mut self, edit: Edit<'_>) -> Result<(), BackendError> {
+        if edit != Edit::ForgetGeneGradients {
+            self.settle()?;
+        }
+        match edit {
+            Edit::Rows(edit) => self.edit_rows(edit),
+            Edit::Genes(delta) => {
+                self.calls.push(Call::Genes { rows: delta.rows.len() });
+                self.cloud.apply(delta);
+            }
+            Edit::OpacityCeiling(ceiling) => self.limit_opacity(ceiling),
+            Edit::Filter3d(filter) => {
+                self.calls.push(Call::Filter(filter.len()));
+                self.cloud.filter_3d = Some(filter);
+            }
+            Edit::ForgetGeneGradients => {
+                self.calls.push(Call::ForgetGeneGradients);
+                self.statistics.gene_gradient_sum.clear();
+                self.statistics.gene_views.clear();
+            }
+        }
+        Ok(())
+    }
+
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
         self.settle()?;
         Ok(self.statistics.clone())
     }
 
-    fn clear_gene_gradients(&mut self) {
-        self.calls.push(Call::ClearGeneGradients);
-        self.statistics.gene_gradient_sum.clear();
-        self.statistics.gene_views.clear();
-    }
-
-    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Edit(edit.clone()));
-        self.mean = StateMean::default();
-        edit.apply(&mut self.cloud, &mut self.moments);
-        if !self.statistics.gene_views.is_empty() {
-            self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
-            self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
-        }
-        self.zero_density();
-        Ok(())
-    }
-
-    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::ResetOpacity(ceiling));
-        self.mean = StateMean::default();
-        for value in &mut self.cloud.opacity_logits {
-            *value = limited_opacity(*value, 1.0, ceiling);
-        }
-        Ok(())
-    }
-
-    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Filter(filter.len()));
-        self.cloud.filter_3d = Some(filter);
-        Ok(())
-    }
-}
-
-impl EvolutionBackend for FakeBackend {
-    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Apply { rows: delta.rows.len(), moments });
-        self.cloud.apply(delta);
-        Ok(())
-    }
-
-    fn weigh(
+    fn blending_weights(
         &mut self,
         views: &[usize],
         map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
@@ -377,17 +378,9 @@ impl EvolutionBackend for FakeBackend {
         for &view in views {
             pixels += map_of(view)?.len();
         }
-        self.calls.push(Call::Weigh { views: views.to_vec(), pixels });
+        self.calls.push(Call::BlendingWeights { views: views.to_vec(), pixels });
         let weight = |view, row| self.weight.map_or(1.0, |weight| weight(view, row));
         Ok(views.iter().map(|&view| (0..self.cloud.len()).map(|row| weight(view, row)).collect()).collect())
-    }
-
-    fn contributions(&mut self, views: &[usize], _: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Contributions { views: views.len() });
-        let distance = |p: &[f32; 3]| (p[0] - self.target).abs();
-        let contribution = |(row, p)| Contribution { weight: row as f32, error: distance(p) };
-        Ok(self.cloud.positions.iter().enumerate().map(contribution).collect())
     }
 
     fn add_to_mean(&mut self) -> Result<(), BackendError> {
@@ -416,28 +409,6 @@ impl EvolutionBackend for FakeBackend {
 
     fn drop_mean(&mut self) {
         self.mean = StateMean::default();
-    }
-
-    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
-        self.settle()?;
-        let snapshot = Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone() };
-        self.edit_rows(edit)?;
-        self.snapshot = Some(snapshot);
-        Ok(())
-    }
-
-    fn roll_back(&mut self) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::RollBack);
-        let snapshot = self.snapshot.take().expect("there is a snapshot");
-        (self.cloud, self.moments, self.mean) = (snapshot.cloud, snapshot.moments, StateMean::default());
-        self.statistics = Statistics::default();
-        self.zero_density();
-        Ok(())
-    }
-
-    fn drop_snapshot(&mut self) {
-        self.snapshot = None;
     }
 
     fn score(
