@@ -239,7 +239,7 @@ fn runs_of_an_experiment_become_lines() {
     let runs: Vec<_> = others.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect();
     let order: Vec<_> = runs.iter().map(|run| [run[5], run[13]]).collect();
     // In a file of before methods, ours is what it was called then.
-    assert_eq!(order, [["off", "abc"], ["off", "def"], ["renew", "abc"], ["renew", "def"]], "arms stay together");
+    assert_eq!(order, [["renew", "abc"], ["renew", "def"], ["off", "abc"], ["off", "def"]], "arms stay together");
     let new = add::add(&header.replace("variant", "method"), folder.path(), &made(true)).unwrap();
     assert!(new.contains("\nfox,3dgs,480,7000,7,genesplat,30.5000,"), "{new}");
     let without = |column: &str| add::add(&header.replace(column, "wishes"), folder.path(), &made(true)).unwrap_err();

@@ -202,7 +202,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (out, file) = (folder.path(), folder.path().join(DESCRIPTION));
         assert!(check_ours(out).is_ok());
-        let mine = "# Mine.\ntitle = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n";
+        let mine = "# Mine.\ntitle = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\n";
         fs::write(&file, mine).unwrap();
         let refusal = check_ours(out).unwrap_err().to_string();
         assert!(refusal.contains(DESCRIPTION) && refusal.contains("--out"), "{refusal}");

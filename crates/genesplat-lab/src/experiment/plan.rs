@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn the_matrix_is_expanded_scene_by_scene_with_controls_last() {
         let experiment = Experiment::new(file(
-            "scenes = [\"a\", \"deep/b\"]\nvariants = [\"3dgs\", \"pixel-gs\"]\nseeds = [7, 8, 9]\n\
+            "scenes = [\"a\", \"deep/b\"]\nmethods = [\"3dgs\", \"pixel-gs\"]\nseeds = [7, 8, 9]\n\
              search = [\"off\", \"control\", \"genetic\"]",
         ))
         .unwrap();

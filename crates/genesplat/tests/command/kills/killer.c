@@ -25,7 +25,10 @@
 
 static long calls;
 
-static int is_ours(void) { return strcmp(program_invocation_short_name, "genesplat") == 0; }
+static int is_ours(void) {
+    const char *name = program_invocation_short_name;
+    return strcmp(name, "genesplat") == 0 || strcmp(name, "genesplat-lab") == 0;
+}
 
 static int is_hit(const char *name, const char *path) {
     if (!is_ours()) return 0;
