@@ -1,7 +1,8 @@
-//! One program that fuzzes every reader of strangers' bytes. `fuzz/run` builds and starts it; see `fuzz/README.md`.
+//! One program that fuzzes every reader of strangers' bytes. `fuzz/run` builds and starts it; see
+//! `fuzz/README.md`.
 //!
-//! `GENESPLAT_FUZZ` names the target, and the arguments are libFuzzer's. `GENESPLAT_SEEDS` names a folder: the program
-//! writes the first inputs of every target there, and ends. `GENESPLAT_PLANTED` plants a bug.
+//! `GENESPLAT_FUZZ` names the target, and the arguments are libFuzzer's. `GENESPLAT_SEEDS` names a folder:
+//! the program writes the first inputs of every target there, and ends. `GENESPLAT_PLANTED` plants a bug.
 
 #![no_main]
 

@@ -1,12 +1,13 @@
 //! An allocator that ends the program where a reader takes more memory than any small file is worth.
 //!
-//! libFuzzer's own limit needs a sanitizer's runtime, which stable Rust does not link; its limit of resident memory sees
-//! only what is touched.
+//! libFuzzer's own limit needs a sanitizer's runtime, which stable Rust does not link; its limit of resident
+//! memory sees only what is touched.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is believed of a compressed file of a few kilobytes (256 MiB, `genesplat_io::format`), twice, and the corpus.
+/// What is believed of a compressed file of a few kilobytes (256 MiB, `genesplat_io::format`), twice, and the
+/// corpus.
 const BYTES_MAX: usize = 768 << 20;
 
 static HELD: AtomicUsize = AtomicUsize::new(0);

@@ -1,7 +1,7 @@
 //! Bugs behind six conditions on the first row of a splat, so that it is known what the harness finds.
 //!
-//! Each condition is an edge of its own, so coverage keeps an input that meets one more. A row of random bytes meets all
-//! of them once in 2.6 billion times.
+//! Each condition is an edge of its own, so coverage keeps an input that meets one more. A row of random
+//! bytes meets all of them once in 2.6 billion times.
 
 use std::hint::black_box;
 use std::sync::LazyLock;

@@ -59,7 +59,10 @@ fn of(target: &str) -> Vec<Vec<u8>> {
     let splats = |format: Format| vec![splat(format, 3, 3), splat(format, 1, 0)];
     match target {
         "archive" => {
-            vec![wrap::zip(&["a/1.png", "sparse/0/cameras.txt", "b"], &wrap::framed(&[vec![1; 9], CAMERAS.into()]))]
+            vec![wrap::zip(
+                &["a/1.png", "sparse/0/cameras.txt", "b"],
+                &wrap::framed(&[vec![1; 9], CAMERAS.into()]),
+            )]
         }
         "archive-names" => vec![b"a/1.png\nb/../2.jpg\nA/1.png".into(), b"1.png\n1.png".into()],
         "cameras-bin" => vec![model("cameras.bin")],
@@ -81,10 +84,14 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "sog-inside" => sogs().iter().map(|file| parts(file, &targets::SOG_PARTS)).collect(),
         "glb" => vec![splat(Format::Glb, 2, 1), splat(Format::Glb, 1, 0)],
         "values" => values(),
-        "config" => vec![toml::to_string(&TrainConfig::default()).expect("defaults are text").into(), CONFIG.into()],
+        "config" => {
+            vec![toml::to_string(&TrainConfig::default()).expect("defaults are text").into(), CONFIG.into()]
+        }
         "checkpoint" => [0, 2].map(|rows| inside(checkpoint(rows))).into(),
         "weights" => vec![safetensors(), legacy()],
-        "weights-inside" => vec![wrap::framed(&[pickle(false), b"little".into(), b"3\n".into(), vec![1; 12]])],
+        "weights-inside" => {
+            vec![wrap::framed(&[pickle(false), b"little".into(), b"3\n".into(), vec![1; 12]])]
+        }
         "message" => vec![LOOK.into(), r#"{"type":"pause"}"#.into()],
         "request" => vec![REQUEST.into()],
         "camera-path" => vec![PATH.into()],
@@ -92,7 +99,8 @@ fn of(target: &str) -> Vec<Vec<u8>> {
     }
 }
 
-/// Gaussians of numbers that are usual, that are as large as is believed, and that overflow when they are used.
+/// Gaussians of numbers that are usual, that are as large as is believed, and that overflow when they are
+/// used.
 fn values() -> Vec<Vec<u8>> {
     let rows = [0.5f32, 1e9, -1e9, 20.7, 89.0, 3e38, f32::NAN];
     let row = |value: f32| [value.to_le_bytes(); targets::VALUES_PER_ROW].concat();
@@ -108,7 +116,8 @@ const CONFIG: &str = "seed = 3\niterations = 700\nsteps_scale = 0.5\nbackground 
 fn cloud(rows: usize) -> Gaussians {
     let rng = Rng::new(1);
     let value = |row: usize, column: u32| {
-        rng.at(Stream::Test, row as u32, column / 4, 0).0[(column % 4) as usize] as f32 / 2.0f32.powi(31) - 1.0
+        rng.at(Stream::Test, row as u32, column / 4, 0).0[(column % 4) as usize] as f32 / 2.0f32.powi(31)
+            - 1.0
     };
     let mut cloud = Gaussians::zeros(rows);
     for row in 0..rows {
@@ -142,7 +151,8 @@ fn written(format: Format, rows: usize, sh_degree: u8, spz_version: SpzVersion) 
 }
 
 fn model(file: &str) -> Vec<u8> {
-    let camera = Intrinsics { width: 20, height: 16, focal_px: [20.0, 21.0], principal_px: [10.0, 8.0], lens: None };
+    let camera =
+        Intrinsics { width: 20, height: 16, focal_px: [20.0, 21.0], principal_px: [10.0, 8.0], lens: None };
     let image = |name: &str| ImageRecord {
         name: name.into(),
         camera: 1,
@@ -204,7 +214,11 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
     let state = DeviceState {
         cloud: cloud(rows),
         moments: Moments::zeros(rows),
-        statistics: Statistics { gradient_sum: vec![0.0; rows], weight_sum: vec![0.0; rows], ..Statistics::default() },
+        statistics: Statistics {
+            gradient_sum: vec![0.0; rows],
+            weight_sum: vec![0.0; rows],
+            ..Statistics::default()
+        },
         mean: StateMean::default(),
     };
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
@@ -222,17 +236,21 @@ fn inside(checkpoint: Vec<u8>) -> Vec<u8> {
 }
 
 fn safetensors() -> Vec<u8> {
-    to_safetensors(&[("lin0.weight".to_owned(), Tensor { shape: vec![1, 3], values: vec![1.0, 2.0, 3.0] })].into())
+    to_safetensors(
+        &[("lin0.weight".to_owned(), Tensor { shape: vec![1, 3], values: vec![1.0, 2.0, 3.0] })].into(),
+    )
 }
 
 fn text(value: &str) -> Vec<u8> {
     [&b"X"[..], &(value.len() as u32).to_le_bytes(), value.as_bytes()].concat()
 }
 
-/// `{name: tensor of shape [1, 3, 1, 1]}`, as `torch.save` writes it; before PyTorch 1.6, storages had an entry more.
+/// `{name: tensor of shape [1, 3, 1, 1]}`, as `torch.save` writes it; before PyTorch 1.6, storages had an
+/// entry more.
 fn pickle(is_legacy: bool) -> Vec<u8> {
     let end: &[u8] = if is_legacy { b"K\x03NtQ" } else { b"K\x03tQ" };
-    let storage = [b"(", &text("storage")[..], b"ctorch\nFloatStorage\n", &text("0"), &text("cpu"), end].concat();
+    let storage =
+        [b"(", &text("storage")[..], b"ctorch\nFloatStorage\n", &text("0"), &text("cpu"), end].concat();
     let shape = b"K\x00(K\x01K\x03K\x01K\x01t(K\x03K\x01K\x01K\x01t\x89ccollections\nOrderedDict\n)Rt";
     let tensor = [b"ctorch._utils\n_rebuild_tensor_v2\n(", &storage[..], shape, b"R"].concat();
     [b"\x80\x02}", &text("lin0.model.1.weight")[..], &tensor, b"s."].concat()

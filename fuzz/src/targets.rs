@@ -1,7 +1,7 @@
 //! Every reader of strangers' bytes, and what must hold of what it reads.
 //!
-//! That nothing panics, overflows, hangs or fills memory holds of all. Errors are shown, since a sentence is made only
-//! then. What was read is written and read again, where there is a writer.
+//! That nothing panics, overflows, hangs or fills memory holds of all. Errors are shown, since a sentence is
+//! made only then. What was read is written and read again, where there is a writer.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -89,7 +89,8 @@ fn said<T>(read: Result<T, impl std::fmt::Display>) -> Option<T> {
 fn archive(bytes: &[u8]) {
     let Some(files) = said(bytes::unpacked(bytes)) else { return };
     assert!(files.iter().map(|(_, bytes)| bytes).sum::<u64>() <= UNPACKED_MAX);
-    let names: BTreeSet<String> = files.iter().map(|(file, _)| file.to_string_lossy().to_lowercase()).collect();
+    let names: BTreeSet<String> =
+        files.iter().map(|(file, _)| file.to_string_lossy().to_lowercase()).collect();
     assert_eq!(names.len(), files.len(), "a name that occurs twice is refused");
     let list = bytes.windows(4).filter(|mark| mark == b"PK\x01\x02").count();
     assert!(files.len() <= list, "no entry is made up");
@@ -118,8 +119,8 @@ fn splat(format: Format, bytes: &[u8]) {
     assert!(!is_exact || is_same(&again, &read.cloud), "every bit is kept");
 }
 
-/// Whatever numbers a cloud holds: without what cannot be shown, every format takes it or says why not, and what is written
-/// is read again whole.
+/// Whatever numbers a cloud holds: without what cannot be shown, every format takes it or says why not, and
+/// what is written is read again whole.
 fn values(bytes: &[u8]) {
     let numbers: Vec<f32> = bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
     let (rows, _) = numbers.as_chunks::<VALUES_PER_ROW>();
@@ -133,7 +134,9 @@ fn values(bytes: &[u8]) {
         cloud.filter_3d.iter_mut().for_each(|filters| filters[row] = *filter);
     }
     let (sound, faults) = leave_out_faults(cloud);
-    assert!(sound.len() + faults.len() == rows.len() && faults.iter().all(|fault| !fault.to_string().is_empty()));
+    assert!(
+        sound.len() + faults.len() == rows.len() && faults.iter().all(|fault| !fault.to_string().is_empty())
+    );
     if sound.is_empty() {
         return;
     }
@@ -154,7 +157,8 @@ fn config(bytes: &[u8]) {
     let Some(config) = said(toml::from_str::<TrainConfig>(text)) else { return };
     let written = toml::to_string(&config).ok();
     let Some(schedule) = said(config.clone().resolve()) else { return };
-    let again = toml::from_str::<TrainConfig>(&written.expect("what is valid is written")).expect("and read again");
+    let again =
+        toml::from_str::<TrainConfig>(&written.expect("what is valid is written")).expect("and read again");
     assert_eq!(again, config);
     let last = schedule.iterations;
     for i in [1, 500.min(last), last.div_ceil(2), last.saturating_sub(1).max(1), last] {
@@ -186,7 +190,11 @@ fn weights(bytes: &[u8]) {
     let read = said(read_weights(&FILE, |_| true)).unwrap_or_default();
     fs::remove_file(&*FILE).expect("it is ours");
     for tensor in read.values() {
-        assert_eq!(tensor.shape.iter().product::<usize>(), tensor.values.len(), "a shape holds for its values");
+        assert_eq!(
+            tensor.shape.iter().product::<usize>(),
+            tensor.values.len(),
+            "a shape holds for its values"
+        );
     }
 }
 

@@ -1,4 +1,5 @@
-//! Containers around bytes, with the checksums that random changes would break: what is inside is what is tested.
+//! Containers around bytes, with the checksums that random changes would break: what is inside is what is
+//! tested.
 
 use std::io::{Cursor, Write};
 use std::sync::LazyLock;
@@ -20,8 +21,8 @@ pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
     file
 }
 
-/// A ZIP file of `names`, in their order: each has its length in two bytes, little end first, and so many bytes; the last
-/// has all that is left.
+/// A ZIP file of `names`, in their order: each has its length in two bytes, little end first, and so many
+/// bytes; the last has all that is left.
 pub(crate) fn zip(names: &[&str], mut bytes: &[u8]) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);

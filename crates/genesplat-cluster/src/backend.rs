@@ -120,7 +120,9 @@ impl ClusterBackend {
         let mut out = Writer::default();
         if let Some((row, parameter)) = found {
             out.count(first + row);
-            out.count(PARAMETERS.iter().position(|&name| name == parameter).expect("all parameters are listed"));
+            out.count(
+                PARAMETERS.iter().position(|&name| name == parameter).expect("all parameters are listed"),
+            );
         }
         let parts = self.group.gather(Ok(out.words))?;
         let read = |part: &Vec<u32>| {
@@ -129,7 +131,11 @@ impl ClusterBackend {
             (input.count(), row)
         };
         let found = parts.iter().filter(|part| !part.is_empty()).map(read).min();
-        Ok(found.map(|(parameter, row)| BackendError::NonFinite { row, parameter: PARAMETERS[parameter], steps }))
+        Ok(found.map(|(parameter, row)| BackendError::NonFinite {
+            row,
+            parameter: PARAMETERS[parameter],
+            steps,
+        }))
     }
 
     /// Fails on every rank where the cloud is not finite.

@@ -15,10 +15,16 @@ pub(crate) struct Bands {
 }
 
 impl Bands {
-    /// Cuts a picture of `across` times `down` tiles for some of `count` ranks; `intersections` are those of each row of
-    /// tiles, or none where it was never drawn.
-    pub(crate) fn new([across, down]: [usize; 2], intersections: &[u32], ranks: &Range<usize>, count: usize) -> Self {
-        let of_row = |row: usize| intersections.get(row).map_or(0, |&count| count as usize) + TILE_LOAD * across;
+    /// Cuts a picture of `across` times `down` tiles for some of `count` ranks; `intersections` are those of
+    /// each row of tiles, or none where it was never drawn.
+    pub(crate) fn new(
+        [across, down]: [usize; 2],
+        intersections: &[u32],
+        ranks: &Range<usize>,
+        count: usize,
+    ) -> Self {
+        let of_row =
+            |row: usize| intersections.get(row).map_or(0, |&count| count as usize) + TILE_LOAD * across;
         let mut sums = vec![0; down + 1];
         for row in 0..down {
             sums[row + 1] = sums[row] + of_row(row);
@@ -35,7 +41,8 @@ impl Bands {
 
     fn from_starts(starts: Vec<usize>) -> Self {
         let bands = starts.windows(2).enumerate();
-        let rank_of_row = bands.flat_map(|(rank, band)| std::iter::repeat_n(rank, band[1] - band[0])).collect();
+        let rank_of_row =
+            bands.flat_map(|(rank, band)| std::iter::repeat_n(rank, band[1] - band[0])).collect();
         Self { starts, rank_of_row }
     }
 
@@ -61,7 +68,8 @@ mod tests {
 
     #[test]
     fn bands_follow_the_load() {
-        let bands = |intersections: &[u32], ranks| Bands::new([10, 8], intersections, &(0..ranks), ranks).starts;
+        let bands =
+            |intersections: &[u32], ranks| Bands::new([10, 8], intersections, &(0..ranks), ranks).starts;
         assert_eq!(bands(&[], 2), [0, 4, 8]);
         assert_eq!(bands(&[100_000, 0, 0, 0, 0, 0, 0, 100_000], 2), [0, 4, 8]);
         assert_eq!(bands(&[0, 0, 0, 0, 0, 0, 50_000, 50_000], 2), [0, 7, 8]);

@@ -1,5 +1,5 @@
-//! A picture that all ranks draw together, forward and backward. All here is done by one rank; what it returns as parts is
-//! to be exchanged, and what it takes as parts was.
+//! A picture that all ranks draw together, forward and backward. All here is done by one rank; what it
+//! returns as parts is to be exchanged, and what it takes as parts was.
 
 use std::ops::Range;
 
@@ -143,7 +143,14 @@ impl Drawing {
     }
 
     /// The loss of the own rows; its gradient, if it is wanted, goes to the band.
-    pub(crate) fn loss(&mut self, level: Level, canvas: &Canvas, target: &Target, parts: &Parts, with_gradient: bool) {
+    pub(crate) fn loss(
+        &mut self,
+        level: Level,
+        canvas: &Canvas,
+        target: &Target,
+        parts: &Parts,
+        with_gradient: bool,
+    ) {
         let rows = canvas.band.pixel_rows();
         self.near.assemble(canvas.width(), canvas.near(&rows), &canvas.pixel_rows(), parts);
         let PictureRows { rows: near, image } = &self.near;

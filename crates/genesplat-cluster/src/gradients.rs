@@ -3,8 +3,8 @@
 use genesplat_kernels::cpu::ViewBuffers;
 use genesplat_kernels::cpu::stages::{GradientRow, SplatGradients};
 
-/// Where the gradients of each splat are, by its index. Most splats are drawn here and nowhere else: their rows are summed
-/// when they are asked for.
+/// Where the gradients of each splat are, by its index. Most splats are drawn here and nowhere else: their
+/// rows are summed when they are asked for.
 #[derive(Debug, Default)]
 pub(crate) struct Gradients {
     sources: Vec<Source>,

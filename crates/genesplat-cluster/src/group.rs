@@ -52,7 +52,15 @@ impl Group {
     pub fn new(ranks: impl Ranks + 'static, asked: Arc<AtomicBool>, stop: Arc<AtomicBool>) -> Self {
         let (rank, count) = (ranks.rank(), ranks.count());
         let (traffic, has_failed) = Default::default();
-        Self(Rc::new(Members { rank, count, ranks: RefCell::new(Box::new(ranks)), asked, stop, traffic, has_failed }))
+        Self(Rc::new(Members {
+            rank,
+            count,
+            ranks: RefCell::new(Box::new(ranks)),
+            asked,
+            stop,
+            traffic,
+            has_failed,
+        }))
     }
 
     /// The number of this rank.
@@ -85,8 +93,12 @@ impl Group {
         self.0.ranks.borrow_mut().finish();
     }
 
-    /// Sends each rank its part, and returns what each has sent here. Where one rank has failed, all fail alike.
-    pub fn exchange(&self, parts: Result<Vec<Vec<u32>>, BackendError>) -> Result<Vec<Vec<u32>>, BackendError> {
+    /// Sends each rank its part, and returns what each has sent here. Where one rank has failed, all fail
+    /// alike.
+    pub fn exchange(
+        &self,
+        parts: Result<Vec<Vec<u32>>, BackendError>,
+    ) -> Result<Vec<Vec<u32>>, BackendError> {
         let clock = Instant::now();
         let received = self.exchange_states(parts);
         let mut traffic = self.traffic();
@@ -99,7 +111,10 @@ impl Group {
         received
     }
 
-    fn exchange_states(&self, parts: Result<Vec<Vec<u32>>, BackendError>) -> Result<Vec<Vec<u32>>, BackendError> {
+    fn exchange_states(
+        &self,
+        parts: Result<Vec<Vec<u32>>, BackendError>,
+    ) -> Result<Vec<Vec<u32>>, BackendError> {
         let is_asked = if self.0.asked.load(Ordering::Relaxed) { ASKED } else { WELL };
         let (mut parts, own_error) = match parts {
             Ok(parts) => (parts, None),
@@ -168,7 +183,8 @@ fn lost(error: RankLost) -> BackendError {
     BackendError::DeviceLost { device: "the cluster".into(), reason: error.to_string() }
 }
 
-/// The only error that one rank has alone is that of its memory; what another may be is told in its own words.
+/// The only error that one rank has alone is that of its memory; what another may be is told in its own
+/// words.
 fn written(error: &BackendError) -> Vec<u32> {
     let mut out = Writer::default();
     match error {

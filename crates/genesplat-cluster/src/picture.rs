@@ -33,7 +33,13 @@ pub(crate) fn part(image: &Image, held: &Range<usize>, wanted: &Range<usize>) ->
 
 impl PictureRows {
     /// Puts `wanted` together from what each rank has sent, of which `held` are the rows.
-    pub(crate) fn assemble(&mut self, width: usize, wanted: Range<usize>, held: &[Range<usize>], parts: &[Vec<u32>]) {
+    pub(crate) fn assemble(
+        &mut self,
+        width: usize,
+        wanted: Range<usize>,
+        held: &[Range<usize>],
+        parts: &[Vec<u32>],
+    ) {
         let Self { rows, image } = self;
         (image.width, image.height) = (width as u32, wanted.len() as u32);
         image.planes.resize(3 * wanted.len() * width, 0.0);
@@ -60,8 +66,10 @@ mod tests {
         let (width, height) = (3, 10);
         let whole = Image { width: 3, height: 10, planes: (0..90).map(|value| value as f32).collect() };
         let rows_of = |rows: &Range<usize>| {
-            let planes =
-                whole.planes.chunks(width * height).flat_map(|plane| &plane[rows.start * width..rows.end * width]);
+            let planes = whole
+                .planes
+                .chunks(width * height)
+                .flat_map(|plane| &plane[rows.start * width..rows.end * width]);
             Image { width: 3, height: rows.len() as u32, planes: planes.copied().collect() }
         };
         let held = [0..4, 4..4, 4..9, 9..10];

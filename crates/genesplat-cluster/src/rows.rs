@@ -31,8 +31,8 @@ impl ClusterBackend {
 }
 
 impl Move<'_> {
-    /// The mean is emptied, and so are the columns of density control. One table after the other, so that at most one
-    /// exists twice.
+    /// The mean is emptied, and so are the columns of density control. One table after the other, so that at
+    /// most one exists twice.
     fn apply(&mut self, mut state: DeviceState) -> Result<DeviceState, BackendError> {
         self.fetch(&mut state.cloud)?;
         self.own_part().apply_to_cloud(&mut state.cloud);

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use genesplat_kernels::cpu::stages::ROWS_TOGETHER;
 
-/// The rows of each rank: contiguous, as many as can be alike, and whole pieces of the work that kernels cut, so that a row
-/// lies in the same lane of the same vector wherever it is.
+/// The rows of each rank: contiguous, as many as can be alike, and whole pieces of the work that kernels cut,
+/// so that a row lies in the same lane of the same vector wherever it is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Shares {
     rows: usize,

@@ -1,5 +1,5 @@
-//! Splats on their way to the bands that they may reach, and sums of their gradients on the way back. Those that are drawn
-//! where they are held go nowhere.
+//! Splats on their way to the bands that they may reach, and sums of their gradients on the way back. Those
+//! that are drawn where they are held go nowhere.
 
 use std::ops::Range;
 
@@ -24,7 +24,8 @@ pub(crate) struct Dealt {
 }
 
 impl Dealt {
-    /// The splats for each other rank than the `own` one, in row order, for a picture of `down` rows of tiles.
+    /// The splats for each other rank than the `own` one, in row order, for a picture of `down` rows of
+    /// tiles.
     pub(crate) fn deal(
         &mut self,
         splats: &Splats,
@@ -57,8 +58,8 @@ impl Dealt {
         &self.indices[self.own]
     }
 
-    /// Adds what `rank` has summed for the splats that it was sent. Bands lie in the order of the ranks, so a splat's tiles
-    /// are added in their order where ranks come in theirs.
+    /// Adds what `rank` has summed for the splats that it was sent. Bands lie in the order of the ranks, so a
+    /// splat's tiles are added in their order where ranks come in theirs.
     pub(crate) fn add(
         &self,
         rank: usize,
@@ -90,9 +91,14 @@ pub(crate) struct Received {
 }
 
 impl Received {
-    /// Makes what others have sent and the `own` ones the splats of a view: ranks hold rows in order, so ties of depth break
-    /// as they do in one process.
-    pub(crate) fn collect(&mut self, parts: &[Vec<u32>], (own, dealt): (&Splats, &Dealt), splats: &mut Splats) {
+    /// Makes what others have sent and the `own` ones the splats of a view: ranks hold rows in order, so ties
+    /// of depth break as they do in one process.
+    pub(crate) fn collect(
+        &mut self,
+        parts: &[Vec<u32>],
+        (own, dealt): (&Splats, &Dealt),
+        splats: &mut Splats,
+    ) {
         let of_others = |part: &Vec<u32>| size_of_val(part.as_slice()) / size_of::<SentSplat>();
         self.own = dealt.own;
         self.starts.clear();
@@ -125,9 +131,9 @@ impl Received {
 
     /// What goes back to another rank: for each of its splats how many rows, and the rows.
     ///
-    /// A sum of tiles may begin here where no tile comes before: the one row of a splat whose first tiles are in this band
-    /// is their sum. Of any other all tiles have a row, since sums of floats depend on where they begin.
-    /// The band begins at row `top` of the `down` rows of tiles.
+    /// A sum of tiles may begin here where no tile comes before: the one row of a splat whose first tiles are
+    /// in this band is their sum. Of any other all tiles have a row, since sums of floats depend on where
+    /// they begin. The band begins at row `top` of the `down` rows of tiles.
     pub(crate) fn sums(
         &self,
         rank: usize,
@@ -159,7 +165,9 @@ fn write_rows<'a>(rows: impl ExactSizeIterator<Item = &'a GradientRow>, columns:
 }
 
 fn written(splat: &Splat) -> SentSplat {
-    let Splat { mean_px: [x, y], conic_log2: [a, b, c], log2_opacity, rgb: [red, green, blue], depth, .. } = *splat;
+    let Splat {
+        mean_px: [x, y], conic_log2: [a, b, c], log2_opacity, rgb: [red, green, blue], depth, ..
+    } = *splat;
     let [width, height] = splat.half_extent_px;
     [x, y, a, b, c, log2_opacity, red, green, blue, depth, width, height]
 }

@@ -1,5 +1,5 @@
-//! Steps that are made together, since one step of the optimiser has the gradients of their views: each view is drawn by some
-//! of the ranks, or by one.
+//! Steps that are made together, since one step of the optimiser has the gradients of their views: each view
+//! is drawn by some of the ranks, or by one.
 
 use std::ops::Range;
 

@@ -44,7 +44,10 @@ impl ClusterBackend {
         self.drawing.loss(level, &canvas, target, &parts, false);
         let parts = self.group.gather(Ok(self.drawing.measures(&canvas)))?;
         let (sums, errors) = Drawing::measured(&canvas, &parts);
-        Ok(ViewLoss { loss: loss_of_sums(&sums, target.size()), squared_error: mean_squared_error(&errors, target) })
+        Ok(ViewLoss {
+            loss: loss_of_sums(&sums, target.size()),
+            squared_error: mean_squared_error(&errors, target),
+        })
     }
 
     /// A copy of the whole cloud, for this rank alone.

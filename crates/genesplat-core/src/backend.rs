@@ -101,14 +101,16 @@ pub struct Update {
     pub rates: LearningRates,
     /// Adam steps made, this one included (for the bias correction).
     pub step: u32,
-    /// The same for the opacity group, which loses a step at an opacity reset; 0 skips the group in this step.
+    /// The same for the opacity group, which loses a step at an opacity reset; 0 skips the group in this
+    /// step.
     pub opacity_step: u32,
     /// MCMC only: SGLD noise and regularisers.
     pub mcmc: Option<McmcStep>,
 }
 
 impl Update {
-    /// Adam's factors of a group that steps at `rate`, for the `step`-th time: `rate / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`.
+    /// Adam's factors of a group that steps at `rate`, for the `step`-th time: `rate / (1 − β1ᵗ)` and `1 /
+    /// sqrt(1 − β2ᵗ)`.
     pub fn factors(rate: f32, step: u32) -> [f32; 2] {
         let step = step.max(1) as i32;
         let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
@@ -141,7 +143,8 @@ pub struct TrainStep {
     pub settings: RenderSettings,
     /// The optimiser step; `None` computes gradients for the statistics only, or for a later step.
     pub update: Option<Update>,
-    /// Where there is no update: add the gradients to [`Moments::pending`](crate::Moments::pending), all of which the next optimiser step takes.
+    /// Where there is no update: add the gradients to [`Moments::pending`](crate::Moments::pending), all of
+    /// which the next optimiser step takes.
     pub keeps_gradients: bool,
     /// What to accumulate.
     pub statistics: StatisticsRequest,

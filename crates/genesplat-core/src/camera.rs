@@ -24,8 +24,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera at the world's origin that looks along +z, with one focal length for both axes, its principal point in the middle
-    /// of the image, and [`NEAR_DEPTH`] as its near plane.
+    /// A camera at the world's origin that looks along +z, with one focal length for both axes, its principal
+    /// point in the middle of the image, and [`NEAR_DEPTH`] as its near plane.
     pub fn at_origin(width: u32, height: u32, focal_px: f64) -> Self {
         Self {
             width,
@@ -90,8 +90,8 @@ pub fn mean_and_radius(places: &[DVec3]) -> (DVec3, f64) {
     (mean, places.iter().map(|place| place.distance(mean)).fold(0.0, f64::max))
 }
 
-/// The normal equations `(A, b)`, `A x = b`, of the point that is nearest to the optical axes, by least squares of the distances:
-/// Σ (I − d dᵀ)(x − c) = 0. Those of something else, `prior`, are added to.
+/// The normal equations `(A, b)`, `A x = b`, of the point that is nearest to the optical axes, by least
+/// squares of the distances: Σ (I − d dᵀ)(x − c) = 0. Those of something else, `prior`, are added to.
 pub fn nearest_to_axes(cameras: &[Camera], prior: (DMat3, DVec3)) -> (DMat3, DVec3) {
     cameras.iter().fold(prior, |(matrix, right), camera| {
         let axis = camera.axis_in_world();
@@ -100,8 +100,8 @@ pub fn nearest_to_axes(cameras: &[Camera], prior: (DMat3, DVec3)) -> (DMat3, DVe
     })
 }
 
-/// The near plane of cameras that stand at these places, world units: [`NEAR_DEPTH`], or less where the scene is smaller
-/// than usual.
+/// The near plane of cameras that stand at these places, world units: [`NEAR_DEPTH`], or less where the scene
+/// is smaller than usual.
 pub fn near_of(centres: &[DVec3]) -> f64 {
     /// Of the largest distance of a camera from their mean.
     const FRACTION: f64 = 0.1;
@@ -117,7 +117,10 @@ mod tests {
     #[test]
     fn the_near_plane_follows_small_scenes() {
         let row = |step: f64| [-1.0, 0.0, 1.0].map(|x| DVec3::new(7.0 + step * x, 1.0, 2.0));
-        assert_eq!([near_of(&row(9.0)), near_of(&row(2.0)), near_of(&row(0.0)), near_of(&[])], [NEAR_DEPTH; 4]);
+        assert_eq!(
+            [near_of(&row(9.0)), near_of(&row(2.0)), near_of(&row(0.0)), near_of(&[])],
+            [NEAR_DEPTH; 4]
+        );
         assert!((near_of(&row(0.01)) - 0.001).abs() < 1e-12);
     }
 

@@ -1,10 +1,11 @@
 //! Constants that more than one stage needs. A stage's private constants live beside it.
 
-/// Splats whose mean is at or before this depth (camera z, world units) are culled (3DGS rasteriser), unless a camera has a
-/// near plane of its own.
+/// Splats whose mean is at or before this depth (camera z, world units) are culled (3DGS rasteriser), unless
+/// a camera has a near plane of its own.
 pub const NEAR_DEPTH: f64 = 0.2;
 
-/// A pixel is touched by a splat only where alpha reaches this value: one step of an 8-bit image (3DGS rasteriser).
+/// A pixel is touched by a splat only where alpha reaches this value: one step of an 8-bit image (3DGS
+/// rasteriser).
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 /// Alpha is clamped here, so that the backward pass may divide by `1 − α`.

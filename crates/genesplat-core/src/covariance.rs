@@ -1,7 +1,7 @@
 //! Rotation matrices of quaternions, and what a Gaussian's own axes are.
 
-/// Rotation matrix (row-major) of a quaternion `(w, x, y, z)`, which is normalised first; its norm is floored at 1e-12,
-/// as in torch.
+/// Rotation matrix (row-major) of a quaternion `(w, x, y, z)`, which is normalised first; its norm is floored
+/// at 1e-12, as in torch.
 pub fn rotation_matrix(rotation: [f32; 4]) -> [[f32; 3]; 3] {
     let norm = rotation.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
     let [w, x, y, z] = rotation.map(|v| v / norm);

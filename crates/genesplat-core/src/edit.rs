@@ -19,8 +19,8 @@ pub enum Origin {
         /// 0 or 1.
         child: u8,
     },
-    /// Improved-GS: one of two that part along the longest axis and share it ([`LONG_AXIS_OFFSET`] and what follows it).
-    /// Fresh moments.
+    /// Improved-GS: one of two that part along the longest axis and share it ([`LONG_AXIS_OFFSET`] and what
+    /// follows it). Fresh moments.
     LongAxisChild {
         /// 0 or 1.
         child: u8,
@@ -85,8 +85,10 @@ impl RowEdit {
 
     /// `numbers` are those of the rows of `cloud` in the whole cloud.
     fn apply_to_cloud(&self, cloud: &mut Gaussians, numbers: impl Fn(usize) -> u32) {
-        cloud.positions = self.rows().map(|(row, origin)| self.position(cloud, row, numbers(row), origin)).collect();
-        cloud.log_scales = self.rows().map(|(row, origin)| new_log_scale(cloud.log_scales[row], origin)).collect();
+        cloud.positions =
+            self.rows().map(|(row, origin)| self.position(cloud, row, numbers(row), origin)).collect();
+        cloud.log_scales =
+            self.rows().map(|(row, origin)| new_log_scale(cloud.log_scales[row], origin)).collect();
         cloud.opacity_logits =
             self.rows().map(|(row, origin)| new_opacity(cloud.opacity_logits[row], origin)).collect();
         cloud.rotations = self.gather(&cloud.rotations);
@@ -185,7 +187,8 @@ pub const LONG_AXIS_OFFSET: f32 = 0.45 * 3.0;
 /// Factor on the axis that a long-axis split cuts.
 pub const LONG_AXIS_SHRINK: f32 = 0.55;
 
-/// Factor on the other two: `sqrt(1 − 0.45²)`, the width of the parent's ellipsoid where the children's centres are.
+/// Factor on the other two: `sqrt(1 − 0.45²)`, the width of the parent's ellipsoid where the children's
+/// centres are.
 pub const LONG_AXIS_WIDTH: f32 = 0.893_028_55;
 
 /// Factor on the opacity.
@@ -311,13 +314,23 @@ mod tests {
         edit.apply(&mut cloud, &mut moments);
         let close = |a: f32, b: f32| (a - b).abs() < 1e-5;
         for (row, x) in [(0, 1.0 - 5.4), (1, 1.0 + 5.4)] {
-            assert!(close(cloud.positions[row][0], x) && close(cloud.positions[row][1], 2.0), "{:?}", cloud.positions);
+            assert!(
+                close(cloud.positions[row][0], x) && close(cloud.positions[row][1], 2.0),
+                "{:?}",
+                cloud.positions
+            );
             let scale = cloud.log_scales[row].map(f32::exp);
-            assert!([0.893_028_6, 2.2, 1.786_057_1].iter().zip(scale).all(|(&a, b)| close(a, b)), "{scale:?}");
+            assert!(
+                [0.893_028_6, 2.2, 1.786_057_1].iter().zip(scale).all(|(&a, b)| close(a, b)),
+                "{scale:?}"
+            );
             assert!(close(sigmoid(cloud.opacity_logits[row]), 0.3));
             assert_eq!((cloud.rotations[row], cloud.sh[row]), (parent.rotations[0], parent.sh[0]));
         }
-        assert_eq!((moments.first.opacity_logits, moments.pending.sh), (vec![0.0; 2], vec![[0.0; SH_STRIDE]; 2]));
+        assert_eq!(
+            (moments.first.opacity_logits, moments.pending.sh),
+            (vec![0.0; 2], vec![[0.0; SH_STRIDE]; 2])
+        );
         assert!((LONG_AXIS_WIDTH - (1.0 - 0.45f32.powi(2)).sqrt()).abs() < 1e-7);
         for opacity_logit in [-200.0, -20.0, 200.0] {
             assert!(long_axis_opacity(opacity_logit).is_finite(), "{opacity_logit}");

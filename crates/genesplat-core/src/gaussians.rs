@@ -131,8 +131,8 @@ impl Gaussians {
         ]
     }
 
-    /// The first row with a parameter that is not finite, and its name. Positions of all rows are looked at first, then
-    /// log-scales, rotations, opacities and colours; 3D filters are not.
+    /// The first row with a parameter that is not finite, and its name. Positions of all rows are looked at
+    /// first, then log-scales, rotations, opacities and colours; 3D filters are not.
     pub fn first_non_finite(&self) -> Option<(usize, &'static str)> {
         COLUMNS.into_iter().zip(self.columns()).find_map(|((name, width), values)| {
             values.iter().position(|value| !value.is_finite()).map(|at| (at / width, name))
@@ -149,11 +149,13 @@ impl Gaussians {
 
     /// The lowest degree of spherical harmonics that holds the whole colour: all coefficients above it are 0.
     pub fn sh_degree_in_use(&self) -> u8 {
-        let used = self.sh.iter().filter_map(|row| row.iter().rposition(|&value| value != 0.0)).max().unwrap_or(0);
+        let used =
+            self.sh.iter().filter_map(|row| row.iter().rposition(|&value| value != 0.0)).max().unwrap_or(0);
         (0..SH_DEGREE_MAX).find(|&degree| used < 3 * coefficients(degree)).unwrap_or(SH_DEGREE_MAX)
     }
 
-    /// Factor by which the 3D filter dims a row: `sqrt(Π s² / (s² + f²))` over the three axes; 1 without a filter.
+    /// Factor by which the 3D filter dims a row: `sqrt(Π s² / (s² + f²))` over the three axes; 1 without a
+    /// filter.
     pub fn filter_dimming(&self, row: usize) -> f32 {
         let Some(filter) = &self.filter_3d else { return 1.0 };
         let filter_variance = f64::from(filter[row]).powi(2);
@@ -165,8 +167,8 @@ impl Gaussians {
         self.log_scales[row].map(ratio).iter().product::<f64>().sqrt() as f32
     }
 
-    /// The cloud with its 3D filter baked in, for viewers that do not know it: `s' = √(s² + f²)`, `o' = o · √(Π s² / Π
-    /// (s² + f²))` (Mip-Splatting, section 5.1). It renders alike, but can no longer be trained.
+    /// The cloud with its 3D filter baked in, for viewers that do not know it: `s' = √(s² + f²)`, `o' = o ·
+    /// √(Π s² / Π (s² + f²))` (Mip-Splatting, section 5.1). It renders alike, but can no longer be trained.
     pub fn fused(&self) -> Self {
         let mut fused = self.clone();
         let Some(filter) = fused.filter_3d.take() else { return fused };
@@ -191,8 +193,8 @@ impl Gaussians {
     }
 }
 
-/// Adam's first and second moments of every trained parameter, and gradients that wait for its next step; rows match those
-/// of the cloud.
+/// Adam's first and second moments of every trained parameter, and gradients that wait for its next step;
+/// rows match those of the cloud.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Moments {
     /// Running means of the gradients.
@@ -224,7 +226,9 @@ impl Moments {
     /// Each column has one row for each of `n` Gaussians, or none where nothing is pending.
     pub fn is_consistent(&self, n: usize) -> bool {
         let fits = |values: &Gaussians| values.is_consistent() && values.len() == n;
-        fits(&self.first) && fits(&self.second) && (self.pending == Gaussians::default() || fits(&self.pending))
+        fits(&self.first)
+            && fits(&self.second)
+            && (self.pending == Gaussians::default() || fits(&self.pending))
     }
 }
 
@@ -245,7 +249,8 @@ fn variance(log_scale: f32) -> f64 {
     (2.0 * f64::from(log_scale).clamp(-150.0, 150.0)).exp()
 }
 
-/// The logit of an opacity that a reset limits: times the 3D filter's `dimming`, it is at most `ceiling` afterwards.
+/// The logit of an opacity that a reset limits: times the 3D filter's `dimming`, it is at most `ceiling`
+/// afterwards.
 ///
 /// One that is low enough stays exactly what it is: f32 would round some opacities to 0 or 1.
 #[inline]
@@ -299,7 +304,10 @@ mod tests {
         let mut cloud = Gaussians { filter_3d: Some(vec![1.0, 2.0, 3.0]), ..Gaussians::zeros(3) };
         cloud.opacity_logits = vec![0.0, 10.0, 20.0];
         let picked = cloud.gather(&[2, 0]);
-        assert_eq!((picked.opacity_logits.clone(), picked.filter_3d.clone()), (vec![20.0, 0.0], Some(vec![3.0, 1.0])));
+        assert_eq!(
+            (picked.opacity_logits.clone(), picked.filter_3d.clone()),
+            (vec![20.0, 0.0], Some(vec![3.0, 1.0]))
+        );
         assert!(picked.is_consistent());
         for (slot, degree) in [(2, 0), (3, 1), (11, 1), (12, 2), (26, 2), (27, 3), (47, 3)] {
             cloud.sh[1][slot] = 0.5;

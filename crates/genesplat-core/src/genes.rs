@@ -1,4 +1,5 @@
-//! What evolution may change: seven genes a Gaussian (section 3 of the paper; colour and rotation stay fixed).
+//! What evolution may change: seven genes a Gaussian (section 3 of the paper; colour and rotation stay
+//! fixed).
 
 /// Genes a Gaussian: position 3, log-scale 3, opacity logit 1.
 pub const GENES: usize = 7;

@@ -1,4 +1,5 @@
-//! Photos (8-bit, interleaved, as files hold them), their masks, and images (f32, planar, as kernels want them).
+//! Photos (8-bit, interleaved, as files hold them), their masks, and images (f32, planar, as kernels want
+//! them).
 
 use std::ops::Range;
 
@@ -21,8 +22,8 @@ impl Photo {
     }
 }
 
-/// Which pixels of a photo count. What a photo has elsewhere (a passer-by, the photographer's hand) has no effect on
-/// anything.
+/// Which pixels of a photo count. What a photo has elsewhere (a passer-by, the photographer's hand) has no
+/// effect on anything.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mask {
     /// True where the pixel counts `[H, W]`.

@@ -1,9 +1,11 @@
 //! Data and maths of genesplat, and nothing else: no input or output, no threads, no device.
 //!
-//! - **Frames.** `camera_from_world` maps world to camera coordinates; camera axes are x right, y down, z forward.
-//! - **Pixels.** The centre of pixel `i` is at coordinate `i`; a camera's principal point follows COLMAP, with the
-//!   top-left *corner* of the image at (0, 0), so `u = fx·x/z + cx − 0.5`.
-//! - **Parameters are raw** (before activation): log-scales, opacity logits, unnormalised `(w, x, y, z)` quaternions.
+//! - **Frames.** `camera_from_world` maps world to camera coordinates; camera axes are x right, y down, z
+//!   forward.
+//! - **Pixels.** The centre of pixel `i` is at coordinate `i`; a camera's principal point follows COLMAP,
+//!   with the top-left *corner* of the image at (0, 0), so `u = fx·x/z + cx − 0.5`.
+//! - **Parameters are raw** (before activation): log-scales, opacity logits, unnormalised `(w, x, y, z)`
+//!   quaternions.
 //! - **Shapes** are written as `[N, 3]`, outermost first.
 
 pub mod backend;

@@ -1,11 +1,11 @@
 //! Whether memory can be had, asked before it is taken.
 //!
-//! A `Vec` that finds no memory ends the process, and in stable Rust nothing can keep it from that. So whoever is about to
-//! take much asks first, and fails with a sentence. It costs a few microseconds: the system maps pages that nobody
-//! touches, and takes them back.
+//! A `Vec` that finds no memory ends the process, and in stable Rust nothing can keep it from that. So
+//! whoever is about to take much asks first, and fails with a sentence. It costs a few microseconds: the
+//! system maps pages that nobody touches, and takes them back.
 //!
-//! A system that promises more than it has (Linux, unless told otherwise) refuses only what goes beyond a limit of the
-//! process or beyond all reason.
+//! A system that promises more than it has (Linux, unless told otherwise) refuses only what goes beyond a
+//! limit of the process or beyond all reason.
 
 use std::hint::black_box;
 
@@ -20,7 +20,11 @@ pub fn ensure_memory(bytes: usize, purpose: &str) -> Result<(), BackendError> {
     let there = bytes.checked_add(SPARE_BYTES).is_some_and(|all| probe.try_reserve_exact(all).is_ok());
     // Or the compiler would see that nothing is done with it.
     black_box(&probe);
-    if there { Ok(()) } else { Err(BackendError::HostOutOfMemory { wanted: bytes as u64, purpose: purpose.into() }) }
+    if there {
+        Ok(())
+    } else {
+        Err(BackendError::HostOutOfMemory { wanted: bytes as u64, purpose: purpose.into() })
+    }
 }
 
 #[cfg(test)]

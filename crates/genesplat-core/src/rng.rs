@@ -1,5 +1,5 @@
-//! Counter-based randomness: every number is a function of (seed, stream, three counters), so neither threads, nor the
-//! device, nor a resume change a result.
+//! Counter-based randomness: every number is a function of (seed, stream, three counters), so neither
+//! threads, nor the device, nor a resume change a result.
 //!
 //! The generator is Philox4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011).
 
@@ -58,7 +58,8 @@ impl Rng {
         self.key
     }
 
-    /// Streams of their own: for each evolution stage, for orders of views beside that of training, and for virtual views.
+    /// Streams of their own: for each evolution stage, for orders of views beside that of training, and for
+    /// virtual views.
     pub fn fork(self, index: u32) -> Self {
         let [a, b, ..] = philox4x32_10([index, 0x6765_6e65, 0x666f_726b, 0], self.key);
         Self { key: [a, b] }
@@ -115,8 +116,12 @@ pub fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for _ in 0..10 {
         let p0 = u64::from(counter[0]) * 0xD251_1F53;
         let p1 = u64::from(counter[2]) * 0xCD9E_8D57;
-        counter =
-            [(p1 >> 32) as u32 ^ counter[1] ^ key[0], p1 as u32, (p0 >> 32) as u32 ^ counter[3] ^ key[1], p0 as u32];
+        counter = [
+            (p1 >> 32) as u32 ^ counter[1] ^ key[0],
+            p1 as u32,
+            (p0 >> 32) as u32 ^ counter[3] ^ key[1],
+            p0 as u32,
+        ];
         key = [key[0].wrapping_add(0x9E37_79B9), key[1].wrapping_add(0xBB67_AE85)];
     }
     counter
@@ -130,7 +135,10 @@ mod tests {
     #[test]
     fn known_answers() {
         assert_eq!(philox4x32_10([0; 4], [0; 2]), [0x6627_e8d5, 0xe169_c58d, 0xbc57_ac4c, 0x9b00_dbd8]);
-        assert_eq!(philox4x32_10([u32::MAX; 4], [u32::MAX; 2]), [0x408f_276d, 0x41c8_3b0e, 0xa20b_c7c6, 0x6d54_51fd]);
+        assert_eq!(
+            philox4x32_10([u32::MAX; 4], [u32::MAX; 2]),
+            [0x408f_276d, 0x41c8_3b0e, 0xa20b_c7c6, 0x6d54_51fd]
+        );
         assert_eq!(
             philox4x32_10([0x243f_6a88, 0x85a3_08d3, 0x1319_8a2e, 0x0370_7344], [0xa409_3822, 0x299f_31d0]),
             [0xd16c_fe09, 0x94fd_cceb, 0x5001_e420, 0x2412_6ea1]

@@ -1,8 +1,9 @@
 //! The values that a row's genes have in a population, each once.
 //!
-//! Individuals of a search may differ from each other in a quarter of their rows, and still a row has few values among
-//! them, as related individuals inherit the same ones. So backends score a population by *row versions*: each is
-//! projected, listed and evaluated once, and every individual that holds it blends the result.
+//! Individuals of a search may differ from each other in a quarter of their rows, and still a row has few
+//! values among them, as related individuals inherit the same ones. So backends score a population by *row
+//! versions*: each is projected, listed and evaluated once, and every individual that holds it blends the
+//! result.
 
 use std::ops::Range;
 

@@ -25,8 +25,8 @@ pub const C3: [f64; 7] = [
     -0.5900435899266435,
 ];
 
-/// Where a coefficient of a channel is in a row of [`crate::Gaussians::sh`]: low degrees, which training starts with,
-/// share a cache line.
+/// Where a coefficient of a channel is in a row of [`crate::Gaussians::sh`]: low degrees, which training
+/// starts with, share a cache line.
 pub const fn sh_index(channel: usize, coefficient: usize) -> usize {
     3 * coefficient + channel
 }

@@ -9,8 +9,8 @@ pub enum DensitySignal {
     Signed,
     /// gsplat's "absgrad": absolute values per pixel before they are summed.
     Absolute,
-    /// Pixel-GS: weighted by the number of pixels blended (but for hidden ones), and times `min(1, (z / depth_threshold)²)`
-    /// near the camera.
+    /// Pixel-GS: weighted by the number of pixels blended (but for hidden ones), and times `min(1, (z /
+    /// depth_threshold)²)` near the camera.
     PixelWeighted {
         /// World units.
         depth_threshold: f32,
@@ -26,8 +26,8 @@ pub struct StatisticsRequest {
     pub genes: bool,
 }
 
-/// Sums over training steps, in the cloud's rows: of the density signal since the last change of rows, of gene gradients
-/// since they were last cleared.
+/// Sums over training steps, in the cloud's rows: of the density signal since the last change of rows, of
+/// gene gradients since they were last cleared.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Sum of the density signal, by normalised device coordinate `[N]`.

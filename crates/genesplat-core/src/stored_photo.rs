@@ -66,7 +66,9 @@ impl StoredPhoto {
     pub fn is_same(&self, other: &Self) -> bool {
         match (&self.place, &other.place) {
             (Place::Memory(photo), Place::Memory(other)) => Arc::ptr_eq(photo, other),
-            (Place::Store(store, at), Place::Store(other, other_at)) => Arc::ptr_eq(store, other) && at == other_at,
+            (Place::Store(store, at), Place::Store(other, other_at)) => {
+                Arc::ptr_eq(store, other) && at == other_at
+            }
             _ => false,
         }
     }

@@ -1,5 +1,5 @@
-//! The settings of the paper's genetic search (its Table 1). Where the paper is silent, the doc of a setting says
-//! so.
+//! The settings of the paper's genetic search (its Table 1). Where the paper is silent, the doc of a setting
+//! says so.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "snake_case")]
 pub struct GeneticConfig {
-    /// Training views that fitness is measured on, spread evenly over the views in order of name, the same in all
-    /// searches of a run. Default 6; at least 1.
+    /// Training views that fitness is measured on, spread evenly over the views in order of name, the same in
+    /// all searches of a run. Default 6; at least 1.
     pub views: usize,
     /// K, generations bred after the initial population. Default 100; from 0. Time grows in proportion.
     pub generations: u32,
@@ -16,24 +16,28 @@ pub struct GeneticConfig {
     pub population: u32,
     /// T, individuals drawn for each tournament, without replacement. Default 10; 1 to P.
     pub tournament: u32,
-    /// Fraction of the population carried over unchanged. Default 0.10; `round(fraction * P)` must be below P.
+    /// Fraction of the population carried over unchanged. Default 0.10; `round(fraction * P)` must be below
+    /// P.
     pub elite_fraction: f64,
-    /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly `round(fraction *
-    /// N)`, and at least one. Default 0.10; above 0, up to 1.
+    /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly
+    /// `round(fraction * N)`, and at least one. Default 0.10; above 0, up to 1.
     pub selection_fraction: f64,
-    /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
+    /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10;
+    /// from 0.
     pub intensity: f64,
-    /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1.
+    /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03;
+    /// 0 to 1.
     pub initial_mutation_rate: f64,
     /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
     pub mutation_rates: [f64; 3],
-    /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
-    /// Default 0.85, 0.70, 0.50; each 0 to 1.
+    /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late
+    /// generations. Default 0.85, 0.70, 0.50; each 0 to 1.
     pub crossover_rates: [f64; 3],
-    /// Where early ends and where middle ends, as fractions of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k
-    /// of K (from 1) is early while `(k - 1) / K` is below the first.
+    /// Where early ends and where middle ends, as fractions of K. Default 0.30, 0.70; 0 to 1, ascending.
+    /// Generation k of K (from 1) is early while `(k - 1) / K` is below the first.
     pub rate_breaks: [f64; 2],
-    /// How two parents are recombined. Default `{ kind = "points", points = 100 }`; or `{ kind = "uniform" }`.
+    /// How two parents are recombined. Default `{ kind = "points", points = 100 }`; or `{ kind = "uniform"
+    /// }`.
     pub crossover: Crossover,
     /// Where `u_i` of Eq. 4 comes from. Default `gradient`; or `unit`.
     pub magnitude: Magnitude,
@@ -41,13 +45,13 @@ pub struct GeneticConfig {
 
 /// Recombination of two parents (section 3.1) into two complementary children.
 ///
-/// The paper does not say where a cut may fall. Here cuts fall *between Gaussians*, in the order of the cloud's rows;
-/// only `Uniform` mixes within a Gaussian.
+/// The paper does not say where a cut may fall. Here cuts fall *between Gaussians*, in the order of the
+/// cloud's rows; only `Uniform` mixes within a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Crossover {
-    /// Distinct cuts: `points + 1` segments are exchanged alternately (1 or 100 in the paper). Where a cloud has fewer
-    /// places for a cut, all are used.
+    /// Distinct cuts: `points + 1` segments are exchanged alternately (1 or 100 in the paper). Where a cloud
+    /// has fewer places for a cut, all are used.
     Points {
         /// Number of cuts; from 1.
         points: u32,
@@ -169,7 +173,12 @@ fn check_fraction(setting: &'static str, value: f64) -> Result<(), ConfigError> 
     check(setting, value, is_fraction(value), "between 0 and 1")
 }
 
-fn check(setting: &'static str, value: impl Into<f64>, holds: bool, allowed: &'static str) -> Result<(), ConfigError> {
+fn check(
+    setting: &'static str,
+    value: impl Into<f64>,
+    holds: bool,
+    allowed: &'static str,
+) -> Result<(), ConfigError> {
     if holds { Ok(()) } else { Err(ConfigError::OutOfRange { setting, value: value.into(), allowed }) }
 }
 
@@ -191,7 +200,9 @@ pub enum ConfigError {
     #[error("no gene gradients were accumulated; set magnitude to \"unit\", which needs none")]
     MissingGradients,
     /// Gradients of another cloud.
-    #[error("there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}")]
+    #[error(
+        "there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}"
+    )]
     GradientRows {
         /// Rows of the sums.
         sums: usize,
@@ -201,7 +212,9 @@ pub enum ConfigError {
         base: usize,
     },
     /// A NaN or an infinity in the gradient sums.
-    #[error("the gene gradient of Gaussian {row} is not finite; lower the learning rates or set magnitude to \"unit\"")]
+    #[error(
+        "the gene gradient of Gaussian {row} is not finite; lower the learning rates or set magnitude to \"unit\""
+    )]
     GradientNotFinite {
         /// Row of the base.
         row: usize,
@@ -213,7 +226,9 @@ pub enum ConfigError {
         row: usize,
     },
     /// The base could not be judged.
-    #[error("the loss of the base is {loss}, so individuals have nothing to be better than; check the render")]
+    #[error(
+        "the loss of the base is {loss}, so individuals have nothing to be better than; check the render"
+    )]
     BaseLossNotFinite {
         /// What was given.
         loss: f64,
@@ -258,7 +273,8 @@ mod tests {
     fn every_multiple_of_ten_generations_is_split_30_40_30() {
         for tens in 1..=100u32 {
             let config = GeneticConfig { generations: 10 * tens, ..GeneticConfig::default() };
-            let count = |rate: f64| (1..=10 * tens).filter(|&k| config.rates(k).mutation == rate).count() as u32;
+            let count =
+                |rate: f64| (1..=10 * tens).filter(|&k| config.rates(k).mutation == rate).count() as u32;
             assert_eq!([count(0.15), count(0.05), count(0.02)], [3 * tens, 4 * tens, 3 * tens]);
         }
     }
@@ -293,7 +309,10 @@ mod tests {
             (|c| c.population = 0, "population is 0, but must be at least 1"),
             (|c| c.tournament = 0, "tournament is 0, but must be between 1 and population"),
             (|c| c.tournament = 101, "tournament is 101, but must be between 1 and population"),
-            (|c| c.elite_fraction = 1.0, "elite_fraction is 1, but must be low enough to leave room for a child"),
+            (
+                |c| c.elite_fraction = 1.0,
+                "elite_fraction is 1, but must be low enough to leave room for a child",
+            ),
             (|c| c.elite_fraction = -0.5, "elite_fraction is -0.5, but must be between 0 and 1"),
             (|c| c.selection_fraction = 0.0, "selection_fraction is 0, but must be above 0 and at most 1"),
             (|c| c.intensity = f64::NAN, "intensity is NaN, but must be finite and not negative"),
@@ -301,7 +320,10 @@ mod tests {
             (|c| c.mutation_rates[2] = -0.1, "mutation_rates is -0.1, but must be between 0 and 1"),
             (|c| c.crossover_rates[0] = f64::NAN, "crossover_rates is NaN, but must be between 0 and 1"),
             (|c| c.rate_breaks = [0.7, 0.3], "rate_breaks is 0.3, but must be in ascending order"),
-            (|c| c.crossover = Crossover::Points { points: 0 }, "crossover.points is 0, but must be at least 1"),
+            (
+                |c| c.crossover = Crossover::Points { points: 0 },
+                "crossover.points is 0, but must be at least 1",
+            ),
         ];
         for (change, sentence) in changes {
             let mut config = GeneticConfig::default();

@@ -1,7 +1,8 @@
 //! Algorithm 1 of the paper, asked and told.
 //!
-//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then breeds the
-//! next generation (lines 13-21). Better than BG means a strictly lower loss; BG never feeds back into breeding.
+//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then
+//! breeds the next generation (lines 13-21). Better than BG means a strictly lower loss; BG never feeds back
+//! into breeding.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -38,7 +39,9 @@ pub struct GeneticAlgorithm {
 #[non_exhaustive]
 pub enum TellError {
     /// Not one loss an individual.
-    #[error("generation {generation} has {expected} individuals without a loss, but {given} losses were given")]
+    #[error(
+        "generation {generation} has {expected} individuals without a loss, but {given} losses were given"
+    )]
     Count {
         /// The generation.
         generation: u32,
@@ -56,9 +59,9 @@ pub enum TellError {
 }
 
 impl GeneticAlgorithm {
-    /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be, is
-    /// `base_loss`. [`GeneticConfig::uses_gradients`] says whether `gradients` are needed. Give each search its own `rng`
-    /// ([`Rng::fork`]).
+    /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be,
+    /// is `base_loss`. [`GeneticConfig::uses_gradients`] says whether `gradients` are needed. Give each
+    /// search its own `rng` ([`Rng::fork`]).
     pub fn new(
         config: GeneticConfig,
         base: Vec<Genes>,
@@ -78,7 +81,8 @@ impl GeneticAlgorithm {
         Ok(search)
     }
 
-    /// How many individuals have no loss yet: the initial population, later all but the elites; 0 when finished.
+    /// How many individuals have no loss yet: the initial population, later all but the elites; 0 when
+    /// finished.
     pub fn ask(&self) -> usize {
         self.brood.count as usize
     }
@@ -92,7 +96,8 @@ impl GeneticAlgorithm {
         self.breeder.consensus.delta_from_base(&self.genome(index as u32))
     }
 
-    /// What turns the cloud that the last generation was differences from into that of this one; often nothing.
+    /// What turns the cloud that the last generation was differences from into that of this one; often
+    /// nothing.
     pub fn shift(&self) -> &SparseDelta {
         self.breeder.consensus.shift()
     }
@@ -102,8 +107,8 @@ impl GeneticAlgorithm {
         self.breeder.consensus.way_back()
     }
 
-    /// Several individuals as differences from what most parents of this generation hold (the base, at first), made in
-    /// parallel.
+    /// Several individuals as differences from what most parents of this generation hold (the base, at
+    /// first), made in parallel.
     ///
     /// # Panics
     /// As [`GeneticAlgorithm::delta`].
@@ -113,9 +118,9 @@ impl GeneticAlgorithm {
         indices.into_par_iter().map(delta).collect()
     }
 
-    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and
-    /// breeds the next generation, in parallel. A loss that is not finite ranks last. Returns statistics of all finite
-    /// losses, elites' included.
+    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all
+    /// before, and breeds the next generation, in parallel. A loss that is not finite ranks last. Returns
+    /// statistics of all finite losses, elites' included.
     pub fn tell(&mut self, losses: &[f64]) -> Result<Option<LossStatistics>, TellError> {
         self.check_losses(losses)?;
         let elites = self.elites.iter().map(|elite| elite.loss);
@@ -168,8 +173,9 @@ impl GeneticAlgorithm {
     /// Bytes held now, and by the parents of the next generation.
     fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
         let elites = self.elites.iter().map(|elite| &elite.genome);
-        let genomes =
-            distinct_bytes(elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents));
+        let genomes = distinct_bytes(
+            elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents),
+        );
         genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
     }
 
@@ -182,7 +188,8 @@ impl GeneticAlgorithm {
         }
     }
 
-    /// Lines 8-10 and 23-25. Elites are never better than what they were remembered for, so a new best is a new child.
+    /// Lines 8-10 and 23-25. Elites are never better than what they were remembered for, so a new best is a
+    /// new child.
     fn replace_best(&mut self, ranking: &Ranking) {
         if ranking.finite().first().is_some_and(|&loss| loss < self.best_loss()) {
             let genome = self.individual(ranking.individual(0));
@@ -206,7 +213,8 @@ impl GeneticAlgorithm {
         let elites = self.config.elites();
         let pair = |&(ranks, crossed): &([u32; 2], bool)| Pair { parents: ranks.map(of_rank), crossed };
         let pairs = plan.pairs.iter().map(pair).collect();
-        self.elites = (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
+        self.elites =
+            (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
         self.brood = Brood { count: self.config.population - elites, pairs };
         self.generation = generation;
     }

@@ -1,8 +1,9 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and the selection among the
-//! Gaussians of one cloud that we add to it. Neither knows a renderer, a file or a clock.
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and the selection
+//! among the Gaussians of one cloud that we add to it. Neither knows a renderer, a file or a clock.
 //!
-//! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them. An
-//! individual is a sparse difference from a state that all share; how memory grows is stated in [`population`].
+//! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is
+//! *told* them. An individual is a sparse difference from a state that all share; how memory grows is stated
+//! in [`population`].
 //!
 //! ```
 //! use genesplat_core::{Genes, Rng, SparseDelta};
@@ -33,8 +34,9 @@
 //! | [`population`], `individual` | how individuals are stored, what that costs, what a generation has in common |
 //! | `operators` | selection, crossover, mutation (Eq. 4), survival |
 //!
-//! Every random number is addressed by generation, individual and row, so neither threads nor the order of scoring can
-//! change a result; and a search is resumed by building it again and telling it the recorded losses.
+//! Every random number is addressed by generation, individual and row, so neither threads nor the order of
+//! scoring can change a result; and a search is resumed by building it again and telling it the recorded
+//! losses.
 
 pub mod config;
 pub mod genetic;

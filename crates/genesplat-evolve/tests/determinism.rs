@@ -1,5 +1,5 @@
-//! The contract: a search is a function of its inputs and of the losses it is told. Neither the number of threads nor the
-//! order in which individuals are asked for changes a bit.
+//! The contract: a search is a function of its inputs and of the losses it is told. Neither the number of
+//! threads nor the order in which individuals are asked for changes a bit.
 
 mod common;
 

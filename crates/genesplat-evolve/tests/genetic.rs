@@ -6,7 +6,9 @@ mod common;
 
 use common::{applied, deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
-use genesplat_evolve::{ConfigError, Crossover, GeneGradients, GeneticAlgorithm, GeneticConfig, Magnitude, TellError};
+use genesplat_evolve::{
+    ConfigError, Crossover, GeneGradients, GeneticAlgorithm, GeneticConfig, Magnitude, TellError,
+};
 use proptest::prelude::*;
 
 #[test]
@@ -35,12 +37,13 @@ fn founders_differ_from_the_base_by_the_initial_rate() {
     assert_ne!(on_sphere(small(1, 10), &base, 5).delta(0), on_sphere(small(1, 10), &base, 6).delta(0));
 }
 
-/// Without mutation and crossover, children are their parents: whoever is elected by a tournament of everyone is the
-/// best, and every child equals it.
+/// Without mutation and crossover, children are their parents: whoever is elected by a tournament of everyone
+/// is the best, and every child equals it.
 #[test]
 fn children_descend_from_the_winners_of_tournaments() {
     let base = normal_base(300);
-    let config = GeneticConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
+    let config =
+        GeneticConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
     let mut search = on_sphere(config, &base, 2);
     let founders = deltas(&search, 0..12);
     let losses: Vec<f64> = (0..12).map(|index| if index == 7 { 0.1 } else { 1.0 }).collect();
@@ -58,8 +61,9 @@ fn siblings_share_their_parents_out() {
         let everywhere = GeneticConfig { initial_mutation_rate: 1.0, selection_fraction: 1.0, ..rates };
         let config = GeneticConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
         let mut search = on_sphere(config, &base, 3);
-        let genomes =
-            |search: &GeneticAlgorithm| deltas(search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
+        let genomes = |search: &GeneticAlgorithm| {
+            deltas(search, 0..8).iter().map(|delta| applied(&base, delta)).collect()
+        };
         let founders: Vec<Vec<Genes>> = genomes(&search);
         search.tell(&[1.0; 8]).expect("one loss each");
         let children: Vec<Vec<Genes>> = genomes(&search);
@@ -69,7 +73,8 @@ fn siblings_share_their_parents_out() {
             let is_shared_out = |p: &[f32], q: &[f32]| {
                 (0..c.len()).all(|i| (c[i], d[i]) == (p[i], q[i]) || (c[i], d[i]) == (q[i], p[i]))
             };
-            let all = founders.iter().flat_map(|p| founders.iter().map(move |q| [p, q].map(|x| x.as_flattened())));
+            let all =
+                founders.iter().flat_map(|p| founders.iter().map(move |q| [p, q].map(|x| x.as_flattened())));
             assert!(all.into_iter().any(|[p, q]| is_shared_out(p, q)), "{crossover:?}");
             mixed += usize::from(founders.iter().all(|founder| founder.as_flattened() != c));
         }
@@ -85,7 +90,8 @@ fn siblings_mutate_in_their_own_ways() {
     assert_ne!(search.delta(0).rows, search.delta(1).rows);
 }
 
-/// A cloud that follows the shifts, and differences from it, are the same individuals; and the way back leads to the base.
+/// A cloud that follows the shifts, and differences from it, are the same individuals; and the way back leads
+/// to the base.
 #[test]
 fn individuals_are_the_same_whatever_they_are_differences_from() {
     let base = normal_base(300);
@@ -113,7 +119,8 @@ fn individuals_are_the_same_whatever_they_are_differences_from() {
 
 #[test]
 fn elites_survive_unchanged_and_are_not_asked_again() {
-    // One founder is far better than all that follow: it must stay the best of every generation, at its own loss.
+    // One founder is far better than all that follow: it must stay the best of every generation, at its own
+    // loss.
     let base = normal_base(100);
     let mut search = on_sphere(small(12, 20), &base, 8);
     let hero = search.delta(13);
@@ -182,9 +189,15 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
     assert_eq!(refused(GeneticConfig::default(), &base, Some(short), 1.0), of_others);
     let mut bad = GeneGradients { sum: vec![[0.0; 7]; 10], views: vec![1; 10] };
     bad.sum[1][6] = f32::NAN;
-    assert_eq!(refused(GeneticConfig::default(), &base, Some(bad), 1.0), ConfigError::GradientNotFinite { row: 1 });
+    assert_eq!(
+        refused(GeneticConfig::default(), &base, Some(bad), 1.0),
+        ConfigError::GradientNotFinite { row: 1 }
+    );
     assert!(matches!(refused(small(1, 10), &base, None, f64::NAN), ConfigError::BaseLossNotFinite { .. }));
-    assert!(matches!(refused(small(1, 5), &base, None, 1.0), ConfigError::OutOfRange { setting: "tournament", .. }));
+    assert!(matches!(
+        refused(small(1, 5), &base, None, 1.0),
+        ConfigError::OutOfRange { setting: "tournament", .. }
+    ));
     let mut poisoned = base.clone();
     poisoned[7][6] = f32::INFINITY;
     assert_eq!(
@@ -193,7 +206,10 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
     );
 
     let mut search = on_sphere(small(0, 10), &base, 1);
-    assert_eq!(search.tell(&[1.0; 3]).map(|_| ()), Err(TellError::Count { generation: 0, expected: 10, given: 3 }));
+    assert_eq!(
+        search.tell(&[1.0; 3]).map(|_| ()),
+        Err(TellError::Count { generation: 0, expected: 10, given: 3 })
+    );
     search.tell(&[1.0; 10]).expect("one loss each");
     assert_eq!(search.tell(&[]).map(|_| ()), Err(TellError::Finished { generation: 0 }));
 }
@@ -212,13 +228,15 @@ fn small_and_empty_clouds_are_searched_too() {
     }
 }
 
-/// 200 Gaussians, 1,400 genes, 9,100 evaluations; Table 1 but for larger and more frequent steps (at Table 1's a gene moves
-/// by a tenth of its deviation in few rows, so that thousands of generations would be needed). Found: 0.60 against 0.99.
+/// 200 Gaussians, 1,400 genes, 9,100 evaluations; Table 1 but for larger and more frequent steps (at Table
+/// 1's a gene moves by a tenth of its deviation in few rows, so that thousands of generations would be
+/// needed). Found: 0.60 against 0.99.
 #[test]
 fn evolution_descends_where_random_search_does_not() {
     let base = normal_base(200);
     let evolving = GeneticConfig { intensity: 0.5, mutation_rates: [0.3; 3], ..small(100, 100) };
-    let random = GeneticConfig { generations: 0, population: evolving.evaluations() as u32, ..evolving.clone() };
+    let random =
+        GeneticConfig { generations: 0, population: evolving.evaluations() as u32, ..evolving.clone() };
     let random = GeneticConfig { initial_mutation_rate: 0.3, ..random };
     assert_eq!(random.evaluations(), evolving.evaluations());
     for seed in [1, 2, 3] {
@@ -260,7 +278,8 @@ fn gradients_direct_the_search_to_what_matters() {
 }
 
 fn any_config() -> impl Strategy<Value = GeneticConfig> {
-    let crossover = prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
+    let crossover =
+        prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;
     let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
     (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(
@@ -289,8 +308,8 @@ fn any_config() -> impl Strategy<Value = GeneticConfig> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever the settings and the losses: deltas are well formed and finite, the best never gets worse, it is what was
-    /// scored, and a search told the same losses again is the same search.
+    /// Whatever the settings and the losses: deltas are well formed and finite, the best never gets worse, it
+    /// is what was scored, and a search told the same losses again is the same search.
     #[test]
     fn invariants_hold(config in any_config(), n in 0u32..90, seed in any::<u64>()) {
         let base = normal_base(n);
@@ -320,8 +339,8 @@ proptest! {
         prop_assert_eq!(again.best_loss(), search.best_loss());
     }
 
-    /// Whatever children are given, a generation consists of their losses and of the lowest of the generation before: elites
-    /// live on, without being asked again.
+    /// Whatever children are given, a generation consists of their losses and of the lowest of the generation
+    /// before: elites live on, without being asked again.
     #[test]
     fn elites_survive(config in any_config(), seed in any::<u64>(), drawn in prop::collection::vec(0.0f64..1.0, 120)) {
         let mut search = on_sphere(config.clone(), &normal_base(9), seed);

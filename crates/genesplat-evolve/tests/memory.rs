@@ -1,5 +1,6 @@
-//! A hundred individuals over a million Gaussians in less than half a gigabyte beyond the scene, both generations alive during
-//! breeding included. Bytes are counted by the allocator, not only by the search itself.
+//! A hundred individuals over a million Gaussians in less than half a gigabyte beyond the scene, both
+//! generations alive during breeding included. Bytes are counted by the allocator, not only by the search
+//! itself.
 
 #![allow(unsafe_code, reason = "a counting allocator cannot be written without")]
 #![allow(clippy::print_stdout, reason = "the measured bytes are worth reading")]
@@ -19,8 +20,8 @@ struct Counting;
 static LIVE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: every call is passed on unchanged; only sizes are counted. `realloc` and `alloc_zeroed` keep their defaults, which
-// call these two.
+// SAFETY: every call is passed on unchanged; only sizes are counted. `realloc` and `alloc_zeroed` keep their
+// defaults, which call these two.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let live = LIVE.fetch_add(layout.size(), Relaxed) + layout.size();
@@ -56,7 +57,8 @@ const HALF_A_GIGABYTE: usize = 500_000_000;
 fn a_hundred_individuals_over_a_million_gaussians() {
     let _alone = ALONE.lock();
     let n = 1_000_000usize;
-    // Nearly seven times the paper's early rate, so that the few generations of this test hold what dozens of the paper's would.
+    // Nearly seven times the paper's early rate, so that the few generations of this test hold what dozens of
+    // the paper's would.
     let config = GeneticConfig { generations: 4, mutation_rates: [1.0; 3], ..GeneticConfig::default() };
     let (search, peak) = peak_of(|| {
         let base: Vec<Genes> = normal_base(1000).into_iter().cycle().take(n).collect();
@@ -64,7 +66,8 @@ fn a_hundred_individuals_over_a_million_gaussians() {
         let mut search =
             GeneticAlgorithm::new(config, base, Some(gradients), 1.0, Rng::new(1)).expect("valid settings");
         while !search.is_finished() {
-            // Later generations are better, so that none descends from an elite; only a few individuals are looked at.
+            // Later generations are better, so that none descends from an elite; only a few individuals are
+            // looked at.
             let looked_at: usize = deltas(&search, 0..3).iter().map(|delta| delta.rows.len()).sum();
             let losses: Vec<f64> = (0..search.ask()).map(|index| dummy(search.generation(), index)).collect();
             search.tell(&losses).expect("one loss each");
@@ -84,7 +87,8 @@ fn a_hundred_individuals_over_a_million_gaussians() {
     assert!(peak < search.peak_population_bytes() + 100_000_000, "{peak} {}", search.peak_population_bytes());
 }
 
-/// Losses that fall with the generation: the longest lines of descent, and so the densest individuals, that there can be.
+/// Losses that fall with the generation: the longest lines of descent, and so the densest individuals, that
+/// there can be.
 fn dummy(generation: u32, index: usize) -> f64 {
     0.9 - f64::from(generation) * 1e-3 + (index * 37 % 101) as f64 * 1e-6
 }
@@ -106,7 +110,9 @@ fn a_whole_search_of_the_paper_stays_below_600_bytes_a_gaussian() {
     });
     let (own, counted) = (search.peak_population_bytes() / n as usize, peak / n as usize);
     let changed = search.best().map_or(0.0, |best| best.rows.len() as f64 / f64::from(n));
-    println!("{own} bytes a Gaussian at most, {counted} by the allocator's count; {changed:.2} of the rows changed");
+    println!(
+        "{own} bytes a Gaussian at most, {counted} by the allocator's count; {changed:.2} of the rows changed"
+    );
     assert!(counted < 600, "{counted} bytes a Gaussian");
     // Every generation leaves a row as it is with probability 1 - f + f (1 - m)^3.
     let untouched = |rate: f64| 0.9 + 0.1 * (1.0 - rate).powi(3);

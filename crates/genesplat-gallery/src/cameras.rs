@@ -9,11 +9,12 @@ use glam::{DMat3, DQuat, DVec3};
 const TARGET: DVec3 = DVec3::new(0.1, 1.35, 1.22);
 /// Horizontal field of view, degrees.
 const FIELD_OF_VIEW: f64 = 62.0;
-/// Excursion of test views to the sides, and their distance from the mean one, metres: they stay well inside the hull
-/// of the training views.
+/// Excursion of test views to the sides, and their distance from the mean one, metres: they stay well inside
+/// the hull of the training views.
 const TEST_EXCURSION: (f64, f64) = (0.75, -0.1);
 
-/// `views` cameras on a closed path around the exhibits: to and fro twice in azimuth while height and distance vary.
+/// `views` cameras on a closed path around the exhibits: to and fro twice in azimuth while height and
+/// distance vary.
 ///
 /// Every eighth, from the first on, is what the usual split holds out; those keep closer to the middle.
 pub(crate) fn path(views: u32, width: u32, height: u32) -> Vec<Camera> {
@@ -22,11 +23,13 @@ pub(crate) fn path(views: u32, width: u32, height: u32) -> Vec<Camera> {
 
 fn camera(view: u32, views: u32, width: u32, height: u32) -> Camera {
     let phase = TAU * f64::from(view) / f64::from(views);
-    let (excursion, reach) = if view.is_multiple_of(8) { TEST_EXCURSION } else { (1.0, 0.35 * (5.0 * phase).cos()) };
+    let (excursion, reach) =
+        if view.is_multiple_of(8) { TEST_EXCURSION } else { (1.0, 0.35 * (5.0 * phase).cos()) };
     let azimuth = excursion * 0.87 * (2.0 * phase).sin();
     let lift = excursion * (3.0 * phase + 0.4).sin();
     let distance = 3.0 + reach;
-    let centre = TARGET + distance * DVec3::new(azimuth.sin(), -azimuth.cos(), 0.0) + DVec3::Z * (0.25 + 0.42 * lift);
+    let centre =
+        TARGET + distance * DVec3::new(azimuth.sin(), -azimuth.cos(), 0.0) + DVec3::Z * (0.25 + 0.42 * lift);
     // Not all look at one point: that would leave the rims seen from one side only.
     let target = TARGET + DVec3::new(0.35 * (3.0 * phase).cos(), 0.0, 0.12 * (4.0 * phase).sin());
     look_at(centre, target, width, height)

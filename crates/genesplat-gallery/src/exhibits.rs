@@ -78,7 +78,8 @@ pub(crate) fn chair(foot: Vec3) -> Vec<Surface> {
 
 /// A folding screen of slats in the corner.
 pub(crate) fn screen() -> Vec<Surface> {
-    let at = |along: f32, height: f32| Vec3::new(-2.85, 1.35, height).lerp(Vec3::new(-2.2, 2.38, height), along);
+    let at =
+        |along: f32, height: f32| Vec3::new(-2.85, 1.35, height).lerp(Vec3::new(-2.2, 2.38, height), along);
     let slats = (0..=10).map(|slat| {
         let along = slat as f32 / 10.0;
         rod(at(along, 0.02), at(along, 1.65), if slat % 10 == 0 { 0.02 } else { 0.009 }, WALNUT)
@@ -91,8 +92,9 @@ pub(crate) fn screen() -> Vec<Surface> {
 pub(crate) fn mobile(hook: Vec3) -> Vec<Surface> {
     const WIRE: f32 = 0.004;
     let below = |x: f32, y: f32, drop: f32| hook + Vec3::new(x, y, -drop);
-    let disc =
-        |centre: Vec3, radius: f32, colour: Vec3| ellipsoid(centre, Vec3::new(radius, 0.012, 0.8 * radius), colour);
+    let disc = |centre: Vec3, radius: f32, colour: Vec3| {
+        ellipsoid(centre, Vec3::new(radius, 0.012, 0.8 * radius), colour)
+    };
     let wire = |from: Vec3, to: Vec3| rod(from, to, WIRE, BLACK);
     let (left, right) = (below(-0.62, 0.12, 0.52), below(0.42, -0.08, 0.48));
     let (inner, outer) = (below(0.16, 0.16, 0.80), below(0.74, -0.30, 0.76));

@@ -42,7 +42,8 @@ pub(crate) enum Shape {
 }
 
 impl Shape {
-    /// A rectangle from `corner`, along orthogonal unit vectors, which is seen from its front, towards `u × v`, only.
+    /// A rectangle from `corner`, along orthogonal unit vectors, which is seen from its front, towards `u ×
+    /// v`, only.
     pub(crate) fn rectangle(corner: Vec3, u: Vec3, v: Vec3, size: [f32; 2]) -> Self {
         Self::Rectangle { corner, u, v, size, normal: u.cross(v) }
     }
@@ -52,7 +53,8 @@ impl Shape {
         match *self {
             Self::Rectangle { corner, u, v, size, normal } => {
                 let (facing, height) = (ray.direction.dot(normal), (corner - ray.origin).dot(normal));
-                // Both are negative in front of the face; distances are compared before the costlier position.
+                // Both are negative in front of the face; distances are compared before the costlier
+                // position.
                 if facing >= 0.0 || height >= 0.0 || height <= farthest * facing {
                     return None;
                 }

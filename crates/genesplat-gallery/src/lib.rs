@@ -1,8 +1,8 @@
 //! The bundled scene: a small art gallery, ray-cast here, so that everything can be tried without a download.
 //!
-//! The room (`room`, `exhibits`) is lit once (`light`), photographed from a path of cameras (`cameras`, `render`) and
-//! given points as structure from motion would find them (`points`). The same options give the same bytes on one
-//! machine, for any number of threads.
+//! The room (`room`, `exhibits`) is lit once (`light`), photographed from a path of cameras (`cameras`,
+//! `render`) and given points as structure from motion would find them (`points`). The same options give the
+//! same bytes on one machine, for any number of threads.
 
 mod cameras;
 mod exhibits;

@@ -1,8 +1,9 @@
 //! Light of the room, computed once: what every view sees is then the same, and a sample costs a look-up.
 //!
-//! Flat surfaces get two maps: direct light in a fine grid, one bounce in a coarse one (it varies slowly). Curved
-//! ones get light from six directions at their middle, blended by the squared normal (an "ambient cube", McTaggart,
-//! "Half-Life 2 source shading", GDC 2004). "Light" means radiance that a white matte surface would send on: E / π.
+//! Flat surfaces get two maps: direct light in a fine grid, one bounce in a coarse one (it varies slowly).
+//! Curved ones get light from six directions at their middle, blended by the squared normal (an "ambient
+//! cube", McTaggart, "Half-Life 2 source shading", GDC 2004). "Light" means radiance that a white matte
+//! surface would send on: E / π.
 
 use std::f32::consts::PI;
 
@@ -74,7 +75,8 @@ pub(crate) struct Lighting {
 impl Lamps {
     /// Direct light at a point; `own` casts no shadow on itself.
     pub(crate) fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        // The fraction of a lamp's light that arrives; `emission` is what goes against the direction towards it.
+        // The fraction of a lamp's light that arrives; `emission` is what goes against the direction towards
+        // it.
         let arriving = |lamp: Vec3, area: f32, emission: &dyn Fn(Vec3) -> f32| {
             let towards = lamp - point;
             let distance = towards.length();
@@ -154,7 +156,11 @@ fn cell(position: f32, size: f32, cells: usize) -> (usize, usize, f32) {
 }
 
 /// `light(point, normal, own surface)` for every surface, at this spacing on flat ones.
-fn fields(world: &World, spacing: f32, light: impl Fn(Vec3, Vec3, Option<usize>) -> Vec3 + Sync) -> Vec<Field> {
+fn fields(
+    world: &World,
+    spacing: f32,
+    light: impl Fn(Vec3, Vec3, Option<usize>) -> Vec3 + Sync,
+) -> Vec<Field> {
     let field = |(index, surface): (usize, &Surface)| match surface.shape {
         Shape::Rectangle { corner, u, v, size, normal } => {
             let [columns, rows] = size.map(|side| ((side / spacing).ceil() as usize).max(2));
@@ -186,6 +192,7 @@ fn bounce(point: Vec3, normal: Vec3, incoming: impl Fn(&Ray) -> Vec3) -> Vec3 {
         radius * cosine * tangent + radius * sine * bitangent + height * normal
     };
     let samples = BOUNCE_SAMPLES * BOUNCE_SAMPLES;
-    let sum: Vec3 = (0..samples).map(|sample| incoming(&Ray::leaving(point, normal, direction(sample)))).sum();
+    let sum: Vec3 =
+        (0..samples).map(|sample| incoming(&Ray::leaving(point, normal, direction(sample)))).sum();
     sum / samples as f32
 }

@@ -1,4 +1,5 @@
-//! Points as structure from motion would find them: on texture, seen by several cameras, off by a millimetre or two.
+//! Points as structure from motion would find them: on texture, seen by several cameras, off by a millimetre
+//! or two.
 
 use genesplat_core::{Camera, Photo, Rng, Stream, View};
 use glam::Vec3;
@@ -25,7 +26,8 @@ const TOLERANCE: f32 = 0.01;
 pub(crate) fn sample(caster: &RayCaster, views: &[View], wanted: u32, seed: u64) -> Vec<Point> {
     let rng = Rng::new(seed);
     let candidates = (0..wanted.saturating_mul(CANDIDATES)).into_par_iter();
-    let mut points: Vec<Point> = candidates.filter_map(|index| candidate(caster, views, &rng, index)).collect();
+    let mut points: Vec<Point> =
+        candidates.filter_map(|index| candidate(caster, views, &rng, index)).collect();
     points.truncate(wanted as usize);
     points
 }
@@ -44,7 +46,9 @@ fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Optio
     // Features on mirrors and lamps do not stay in place from view to view.
     let stays = matches!(caster.world.surfaces[hit.surface].finish, Finish::Matte | Finish::Coated { .. });
     let point = ray.at(hit.distance);
-    if !stays || views.iter().filter(|view| sees(caster, &view.camera, point)).take(VIEWS_MIN).count() < VIEWS_MIN {
+    if !stays
+        || views.iter().filter(|view| sees(caster, &view.camera, point)).take(VIEWS_MIN).count() < VIEWS_MIN
+    {
         return None;
     }
     let (noise, more) = (rng.at(Stream::Gallery, 1, index, 0), rng.at(Stream::Gallery, 1, index, 1));

@@ -8,8 +8,8 @@ use crate::geometry::Ray;
 use crate::light::Lighting;
 use crate::world::{Finish, World};
 
-/// Where a pixel is sampled first, in eighths of its side: no two samples share a row or a column, and turning the
-/// pattern by 90 degrees changes nothing, so edges of all directions are smooth.
+/// Where a pixel is sampled first, in eighths of its side: no two samples share a row or a column, and
+/// turning the pattern by 90 degrees changes nothing, so edges of all directions are smooth.
 const FIRST_SAMPLES: [[u8; 2]; 4] = [[0, 2], [5, 0], [7, 5], [2, 7]];
 /// Where it is sampled besides, if the first samples differ: together no two share a row or a column.
 const FURTHER_SAMPLES: [[u8; 2]; 4] = [[1, 3], [4, 1], [6, 4], [3, 6]];
@@ -51,7 +51,8 @@ impl RayCaster {
         };
         let first = FIRST_SAMPLES.map(sample);
         let sum: Vec3 = first.iter().sum();
-        let (low, high) = first.iter().fold((first[0], first[0]), |(low, high), s| (low.min(*s), high.max(*s)));
+        let (low, high) =
+            first.iter().fold((first[0], first[0]), |(low, high), s| (low.min(*s), high.max(*s)));
         if (high - low).max_element() < SMOOTH * (0.2 + high.max_element()) {
             return sum / 4.0;
         }
@@ -73,7 +74,9 @@ impl RayCaster {
             Finish::Coated { specular } if reflections < REFLECTIONS => {
                 scattered().lerp(mirrored(), specular * fresnel(0.04, facing))
             }
-            Finish::Metal(tint) if reflections < REFLECTIONS => mirrored() * tint.lerp(Vec3::ONE, fresnel(0.0, facing)),
+            Finish::Metal(tint) if reflections < REFLECTIONS => {
+                mirrored() * tint.lerp(Vec3::ONE, fresnel(0.0, facing))
+            }
             Finish::Matte | Finish::Coated { .. } | Finish::Metal(_) => scattered(),
         }
     }

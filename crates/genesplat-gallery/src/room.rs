@@ -31,8 +31,10 @@ struct Wall {
 
 const BACK: Wall = Wall { corner: Vec3::new(LOW.x, HIGH.y, 0.0), right: Vec3::X, length: HIGH.x - LOW.x };
 const LEFT: Wall = Wall { corner: LOW, right: Vec3::Y, length: HIGH.y - LOW.y };
-const RIGHT: Wall = Wall { corner: Vec3::new(HIGH.x, HIGH.y, 0.0), right: Vec3::NEG_Y, length: HIGH.y - LOW.y };
-const FRONT: Wall = Wall { corner: Vec3::new(HIGH.x, LOW.y, 0.0), right: Vec3::NEG_X, length: HIGH.x - LOW.x };
+const RIGHT: Wall =
+    Wall { corner: Vec3::new(HIGH.x, HIGH.y, 0.0), right: Vec3::NEG_Y, length: HIGH.y - LOW.y };
+const FRONT: Wall =
+    Wall { corner: Vec3::new(HIGH.x, LOW.y, 0.0), right: Vec3::NEG_X, length: HIGH.x - LOW.x };
 
 pub(crate) fn build(seed: u32) -> (World, Lamps) {
     let lamps = lamps();

@@ -26,7 +26,9 @@ impl Texture {
             Self::Boards => boards(u, v, seed),
             Self::Rug(size) => rug(u, v, size, seed),
             Self::Label(size) => label(u, v, size, seed),
-            Self::Picture(painting, size) => painting.colour([u / size[0], v / size[1]], size[0] / size[1], seed),
+            Self::Picture(painting, size) => {
+                painting.colour([u / size[0], v / size[1]], size[0] / size[1], seed)
+            }
         }
     }
 }
@@ -157,7 +159,8 @@ mod tests {
         let mean = values.iter().sum::<f32>() / 4000.0;
         // Four standard errors of the mean of uniform numbers.
         assert!((mean - 0.5).abs() < 4.0 * (1.0f32 / 12.0 / 4000.0).sqrt(), "{mean}");
-        let jump = (0..1000).map(|i| i as f32 * 0.01 - 5.0).map(|x| noise(x + 1e-4, 0.3, 1) - noise(x, 0.3, 1));
+        let jump =
+            (0..1000).map(|i| i as f32 * 0.01 - 5.0).map(|x| noise(x + 1e-4, 0.3, 1) - noise(x, 0.3, 1));
         assert!(jump.fold(0.0f32, |most, step| most.max(step.abs())) < 1e-3);
     }
 }

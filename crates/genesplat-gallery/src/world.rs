@@ -1,4 +1,5 @@
-//! All shapes of the room with their materials, and which of them a ray hits first (a bounding volume hierarchy).
+//! All shapes of the room with their materials, and which of them a ray hits first (a bounding volume
+//! hierarchy).
 
 use std::ops::Range;
 
@@ -34,7 +35,8 @@ pub(crate) struct Hit {
     pub(crate) surface: usize,
 }
 
-/// The room and everything in it, as a bounding volume hierarchy: a ray tries only the surfaces in boxes that it hits.
+/// The room and everything in it, as a bounding volume hierarchy: a ray tries only the surfaces in boxes that
+/// it hits.
 #[derive(Debug)]
 pub(crate) struct World {
     /// First the large ones, then those of each leaf in a row.
@@ -54,7 +56,8 @@ struct Node {
 #[derive(Debug)]
 enum Content {
     Leaf(Range<usize>),
-    /// The first child follows its parent; this is the index of the second, and the axis on which they are apart.
+    /// The first child follows its parent; this is the index of the second, and the axis on which they are
+    /// apart.
     Fork {
         second: usize,
         axis: usize,
@@ -120,7 +123,8 @@ impl World {
                 // The last on the stack is visited first: the child that the ray comes to first.
                 Content::Fork { second, axis } => {
                     let forwards = ray.direction[*axis] > 0.0;
-                    (stack[count], stack[count + 1]) = if forwards { (*second, at + 1) } else { (at + 1, *second) };
+                    (stack[count], stack[count + 1]) =
+                        if forwards { (*second, at + 1) } else { (at + 1, *second) };
                     count += 2;
                 }
             }
@@ -176,7 +180,8 @@ mod tests {
         for i in 0..500 {
             let origin = 6.0 * vector(2, i).normalize();
             let ray = Ray::new(origin, (3.0 * vector(3, i) - origin).normalize());
-            let all = world.surfaces.iter().filter_map(|surface| surface.shape.intersect(&ray, f32::INFINITY));
+            let all =
+                world.surfaces.iter().filter_map(|surface| surface.shape.intersect(&ray, f32::INFINITY));
             let nearest = all.reduce(f32::min);
             assert_eq!(world.trace(&ray, None).map(|hit| hit.distance), nearest);
             assert_eq!(world.is_clear(&ray, 5.0, None), nearest.is_none_or(|distance| distance >= 5.0));

@@ -12,7 +12,8 @@ fn small() -> GalleryOptions {
 fn pixel(view: &View, point: [f32; 3]) -> Option<(u32, u32)> {
     let in_camera = view.camera.camera_from_world(point.map(f64::from).into());
     let [u, v] = view.camera.pixel_from_camera(in_camera).map(f64::round);
-    let inside = (0.0..f64::from(view.camera.width)).contains(&u) && (0.0..f64::from(view.camera.height)).contains(&v);
+    let inside =
+        (0.0..f64::from(view.camera.width)).contains(&u) && (0.0..f64::from(view.camera.height)).contains(&v);
     (in_camera.z > 0.0 && inside).then_some((u as u32, v as u32))
 }
 
@@ -39,7 +40,8 @@ fn points_lie_where_their_colours_are_seen() {
     let gallery = generate(&small());
     assert_eq!((gallery.views.len(), gallery.points.len()), (16, 300));
     for point in &gallery.points {
-        let seen: Vec<_> = gallery.views.iter().filter_map(|view| Some((view, pixel(view, point.position)?))).collect();
+        let seen: Vec<_> =
+            gallery.views.iter().filter_map(|view| Some((view, pixel(view, point.position)?))).collect();
         assert!(seen.len() >= 2, "{point:?} is inside {} photos", seen.len());
         // In one photo its colour is a pixel's; its error moves it by a pixel at most or so.
         let near = |view: &View, (x, y): (u32, u32)| {
@@ -47,7 +49,10 @@ fn points_lie_where_their_colours_are_seen() {
             let mut pixels = around(y, 64).flat_map(|y| around(x, 96).map(move |x| (x, y)));
             pixels.any(|(x, y)| view.photo.read().unwrap().pixel(x, y) == point.rgb)
         };
-        assert!(seen.iter().any(|&(view, at)| near(view, at)), "{point:?} has a colour that no photo shows there");
+        assert!(
+            seen.iter().any(|&(view, at)| near(view, at)),
+            "{point:?} has a colour that no photo shows there"
+        );
     }
 }
 

@@ -2,8 +2,9 @@
 //!
 //!     cargo run --release -p genesplat-gpu --example host_time
 //!
-//! The gallery at 64 x 48 pixels, so that even a software driver keeps up. Of the calling thread, the processor time: the
-//! driver's threads and other programs are not in it (Linux; elsewhere the time that passes, which they are in).
+//! The gallery at 64 x 48 pixels, so that even a software driver keeps up. Of the calling thread, the
+//! processor time: the driver's threads and other programs are not in it (Linux; elsewhere the time that
+//! passes, which they are in).
 
 use std::io::Write;
 use std::time::Instant;
@@ -11,7 +12,8 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat_core::backend::Update;
 use genesplat_core::{
-    DensitySignal, Device, Gaussians, LearningRates, RenderSettings, Renderer, StatisticsRequest, TrainStep, median,
+    DensitySignal, Device, Gaussians, LearningRates, RenderSettings, Renderer, StatisticsRequest, TrainStep,
+    median,
 };
 use genesplat_gallery::GalleryOptions;
 use genesplat_gpu::GpuBackend;
@@ -52,8 +54,14 @@ fn main() -> Result<()> {
 }
 
 fn step(number: u32, view: usize) -> TrainStep {
-    let rates =
-        LearningRates { position: 1e-5, sh_dc: 2.5e-3, sh_rest: 1.25e-4, opacity: 0.01, scale: 1e-3, rotation: 1e-3 };
+    let rates = LearningRates {
+        position: 1e-5,
+        sh_dc: 2.5e-3,
+        sh_rest: 1.25e-4,
+        opacity: 0.01,
+        scale: 1e-3,
+        rotation: 1e-3,
+    };
     TrainStep {
         view,
         settings: RenderSettings::default(),

@@ -1,6 +1,7 @@
 //! Writes what compilers get of every kernel, for those who count instructions (`tools/gpu-count`).
 //!
-//! `kernel_code FOLDER` writes each kernel as the SPIR-V that Vulkan drivers get, and as HLSL, which names its bindings.
+//! `kernel_code FOLDER` writes each kernel as the SPIR-V that Vulkan drivers get, and as HLSL, which names
+//! its bindings.
 
 use std::path::Path;
 
@@ -20,7 +21,8 @@ fn main() -> Result<()> {
     })
 }
 
-/// Values of the constants that the backend sets when it makes a pipeline: those of a step where there are several.
+/// Values of the constants that the backend sets when it makes a pipeline: those of a step where there are
+/// several.
 fn overrides(kernel: &str) -> Vec<(&'static str, f64)> {
     let sort = [("LENGTH", 2.0), ("SHIFT", 8.0), ("FIRST_BLOCK", 0.0), ("COUNT_UP", 0.0)];
     match kernel.rsplit('/').next().unwrap_or_default() {

@@ -1,6 +1,7 @@
 //! Every constant and every struct that Rust and WGSL share.
 //!
-//! Declared once; `device::prelude` writes them into WGSL. A test reads that back with naga and compares offsets.
+//! Declared once; `device::prelude` writes them into WGSL. A test reads that back with naga and compares
+//! offsets.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -20,25 +21,28 @@ shared_constants! {
     GROUP = 256,
     // Workgroups in the first dimension of a grid, few in tests; what is more goes to the second.
     GRID_WIDTH = if cfg!(test) { 3 } else { 32_768 },
-    // Elements that one workgroup of a prefix sum handles; keys that one of a radix sort does, few in tests; values of a digit.
+    // Elements that one workgroup of a prefix sum handles; keys that one of a radix sort does, few in tests;
+    // values of a digit.
     SCAN_BLOCK = 8 * GROUP,
     SORT_BLOCK = if cfg!(test) { 2 * GROUP } else { 16 * GROUP },
     DIGITS = 256,
     // Keys of one dispatch of a sort, few in tests: what is more goes to others.
     SORT_PIECE = if cfg!(test) { 128 * SORT_BLOCK } else { 1 << 24 },
-    // Tiles of a splat that one invocation lists, and whose gradients it sums, few in tests; those of wider splats, a
-    // workgroup.
+    // Tiles of a splat that one invocation lists, and whose gradients it sums, few in tests; those of wider
+    // splats, a workgroup.
     SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
     // Steps that colours may have to make up for, few in tests.
     LATE_STEPS_MAX = if cfg!(test) { 5 } else { 64 },
-    // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
+    // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers
+    // for.
     SLOTS = 16,
     // Words with a bit for each individual of a pool.
     HOLDER_WORDS = 4,
     // Where the genes of a row version are, if they are the row's own.
     OWN_GENES = u32::MAX,
 
-    // Why the device changes nothing more: intersections that do not fit their buffers, a loss that is not finite.
+    // Why the device changes nothing more: intersections that do not fit their buffers, a loss that is not
+    // finite.
     HALT_OVERFLOW = 1,
     HALT_NON_FINITE = 2,
     // Screen filters.
@@ -117,7 +121,8 @@ macro_rules! device_struct {
 }
 
 device_struct! {
-    /// What a render depends on besides the cloud. Vectors come first, so that WGSL's and Rust's layouts agree.
+    /// What a render depends on besides the cloud. Vectors come first, so that WGSL's and Rust's layouts
+    /// agree.
     ViewPass {
         /// Rows of `camera_from_world`: rotation, translation.
         camera_x: vec4,

@@ -1,8 +1,8 @@
 //! The GPU backend of genesplat: every numeric stage as a WGSL kernel, on wgpu (Vulkan, Metal, DX12).
 //!
 //! [`GpuBackend`] is a [`genesplat_core::Device`], and all that other crates need. Stages have the names of
-//! their CPU twins, and the tests compare each of them with its twin. `docs/gpu.md` tells how it works, and where
-//! things are.
+//! their CPU twins, and the tests compare each of them with its twin. `docs/gpu.md` tells how it works, and
+//! where things are.
 
 mod backend;
 mod device;

@@ -1,7 +1,7 @@
 //! The GPU backend against its CPU twin, stage by stage, by one comparison and one table of tolerances.
 //!
-//! These tests need a Vulkan, Metal or DX12 driver; Mesa's `lavapipe` will do. Without one they say that they were
-//! skipped, and where `GENESPLAT_REQUIRE_GPU` is set, as `.ci/run` does, that is a failure.
+//! These tests need a Vulkan, Metal or DX12 driver; Mesa's `lavapipe` will do. Without one they say that they
+//! were skipped, and where `GENESPLAT_REQUIRE_GPU` is set, as `.ci/run` does, that is a failure.
 
 mod evolution;
 #[path = "../../genesplat-kernels/tests/fixtures/mod.rs"]
@@ -13,18 +13,20 @@ mod submissions;
 mod verbs;
 
 use fixtures::{
-    CROWD, CROWD_LOGITS, camera, cloud, compare_rows, crowd, far_needles, filtered_cloud, filters, individual_of,
-    masked_view, poisoned_cloud, settings, shortest_row, small_view, step, uniform, view,
+    CROWD, CROWD_LOGITS, camera, cloud, compare_rows, crowd, far_needles, filtered_cloud, filters,
+    individual_of, masked_view, poisoned_cloud, settings, shortest_row, small_view, step, uniform, view,
 };
-use genesplat_core::{DensitySignal, Device, Edit, Gaussians, RenderSettings, Renderer, ScreenFilter, TrainStep, View};
+use genesplat_core::{
+    DensitySignal, Device, Edit, Gaussians, RenderSettings, Renderer, ScreenFilter, TrainStep, View,
+};
 use genesplat_kernels::cpu::CpuBackend;
 
 use crate::GpuBackend;
 use crate::device::engine::Engine;
 use crate::device::probe::subgroup_width;
 
-/// Largest relative L2 distance between the twins, by stage. Both are f32, so this is rounding; what is sorted or
-/// counted must be equal.
+/// Largest relative L2 distance between the twins, by stage. Both are f32, so this is rounding; what is
+/// sorted or counted must be equal.
 const TOLERANCES: [(&str, f64); 11] = [
     ("project", 1e-5),
     // Blending multiplies hundreds of rounded factors; a pixel exactly at alpha = 1/255 may flip.
@@ -49,13 +51,16 @@ fn compare(
     actual: impl IntoIterator<Item = f32>,
     expected: impl IntoIterator<Item = f32>,
 ) -> Result<(), String> {
-    let (_, tolerance) = TOLERANCES.iter().find(|(name, _)| *name == stage).expect("the table has every stage");
-    let (actual, expected): (Vec<f32>, Vec<f32>) = (actual.into_iter().collect(), expected.into_iter().collect());
+    let (_, tolerance) =
+        TOLERANCES.iter().find(|(name, _)| *name == stage).expect("the table has every stage");
+    let (actual, expected): (Vec<f32>, Vec<f32>) =
+        (actual.into_iter().collect(), expected.into_iter().collect());
     if actual.len() != expected.len() {
         return Err(format!("{stage}, {what}: {} values, not {}", actual.len(), expected.len()));
     }
     let square = |value: f64| value * value;
-    let distance: f64 = actual.iter().zip(&expected).map(|(&a, &b)| square(f64::from(a) - f64::from(b))).sum();
+    let distance: f64 =
+        actual.iter().zip(&expected).map(|(&a, &b)| square(f64::from(a) - f64::from(b))).sum();
     let length: f64 = expected.iter().map(|&b| square(f64::from(b))).sum();
     if distance == 0.0 || (distance / length).sqrt() <= *tolerance {
         return Ok(());
@@ -78,19 +83,24 @@ pub(crate) fn engine() -> Option<Engine> {
     match Engine::new() {
         Ok(engine) => Some(engine),
         Err(error) => {
-            assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has no graphics device: {error}");
+            assert!(
+                std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(),
+                "CI has no graphics device: {error}"
+            );
             eprintln!("skipped: {error}");
             None
         }
     }
 }
 
-/// A device with the kernels that it runs, and with those for devices without subgroups; none where there is no device.
+/// A device with the kernels that it runs, and with those for devices without subgroups; none where there is
+/// no device.
 pub(crate) fn engines() -> Vec<Engine> {
     engine().into_iter().chain(engine().map(Engine::without_subgroups)).collect()
 }
 
-/// Else tests of both kinds of kernels would be tests of one. `.ci/run` says how large the software driver makes them.
+/// Else tests of both kinds of kernels would be tests of one. `.ci/run` says how large the software driver
+/// makes them.
 #[test]
 fn subgroups_are_as_large_as_they_should_be() {
     let (Some(engine), Some(wanted)) = (engine(), std::env::var_os("GENESPLAT_REQUIRE_SUBGROUPS")) else {
@@ -122,7 +132,8 @@ fn compare_clouds(stage: &str, actual: &Gaussians, expected: &Gaussians) -> Resu
     let flat = |rows: &[[f32; 3]]| rows.as_flattened().to_vec();
     compare(stage, "positions", flat(&actual.positions), flat(&expected.positions))?;
     compare(stage, "log-scales", flat(&actual.log_scales), flat(&expected.log_scales))?;
-    let [actual_rotations, expected_rotations] = [actual, expected].map(|c| c.rotations.as_flattened().to_vec());
+    let [actual_rotations, expected_rotations] =
+        [actual, expected].map(|c| c.rotations.as_flattened().to_vec());
     compare(stage, "rotations", actual_rotations, expected_rotations)?;
     compare(stage, "opacities", actual.opacity_logits.clone(), expected.opacity_logits.clone())?;
     let [actual_sh, expected_sh] = [actual, expected].map(|c| c.sh.as_flattened().to_vec());
@@ -131,8 +142,8 @@ fn compare_clouds(stage: &str, actual: &Gaussians, expected: &Gaussians) -> Resu
     compare(stage, "3D filter", filter(actual), filter(expected))
 }
 
-/// How far a row of gradients may be off, of its own length and of the longest row's. Sums of f32 cancel; seen on lavapipe: 1e-3
-/// and 1.1e-7, as on the CPU against the reference, whose tests have the same limits.
+/// How far a row of gradients may be off, of its own length and of the longest row's. Sums of f32 cancel;
+/// seen on lavapipe: 1e-3 and 1.1e-7, as on the CPU against the reference, whose tests have the same limits.
 const ROWS: [f64; 2] = [3e-3, 5e-7];
 
 /// Every row of two tables of gradients.
@@ -140,7 +151,8 @@ fn compare_gradient_rows(actual: &Gaussians, expected: &Gaussians) -> Result<(),
     compare_rows("positions", &actual.positions, &wide(&expected.positions), ROWS)?;
     compare_rows("log-scales", &actual.log_scales, &wide(&expected.log_scales), ROWS)?;
     compare_rows("rotations", &actual.rotations, &wide(&expected.rotations), ROWS)?;
-    let (actual_logits, expected_logits) = (actual.opacity_logits.as_chunks().0, expected.opacity_logits.as_chunks().0);
+    let (actual_logits, expected_logits) =
+        (actual.opacity_logits.as_chunks().0, expected.opacity_logits.as_chunks().0);
     compare_rows::<1>("opacities", actual_logits, &wide(expected_logits), ROWS)?;
     compare_rows("colours", &actual.sh, &wide(&expected.sh), ROWS)
 }

@@ -1,5 +1,5 @@
-//! The gallery, trained on a graphics device and on the CPU, by every method and with the search: photos must come out
-//! alike.
+//! The gallery, trained on a graphics device and on the CPU, by every method and with the search: photos must
+//! come out alike.
 //!
 //! Needs a driver, like the other tests of this crate.
 
@@ -15,7 +15,8 @@ use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
 use genesplat_train::observe::StepLog;
 use genesplat_train::{
-    Checkpoint, MethodName, Observer, Outcome, Schedule, Silent, StageKind, StageRecord, Start, TrainConfig, train,
+    Checkpoint, MethodName, Observer, Outcome, Schedule, Silent, StageKind, StageRecord, Start, TrainConfig,
+    train,
 };
 
 /// Largest difference of PSNR of one run, dB. Seen on Mesa's lavapipe: 0.002, and 0.02 with a search.
@@ -28,8 +29,8 @@ fn scene() -> Scene {
     genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth)
 }
 
-/// A whole schedule in 150 iterations: densification, an opacity reset, all degrees of the spherical harmonics. Ours has
-/// no interval below a hundred iterations.
+/// A whole schedule in 150 iterations: densification, an opacity reset, all degrees of the spherical
+/// harmonics. Ours has no interval below a hundred iterations.
 fn config(method: MethodName) -> TrainConfig {
     let mut config = TrainConfig { seed: SEED, max_gaussians: Some(600), ..TrainConfig::of(method) };
     if method == MethodName::Genesplat {
@@ -68,7 +69,10 @@ fn gpu() -> Option<GpuBackend> {
             Some(gpu)
         }
         Err(error) => {
-            assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has no graphics device: {error}");
+            assert!(
+                std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(),
+                "CI has no graphics device: {error}"
+            );
             // Not by a macro, whose output a test runner keeps to itself.
             let _ = writeln!(std::io::stderr(), "skipped: {error}");
             None
@@ -80,8 +84,8 @@ fn points(scene: &Scene) -> Start {
     Start::Points(scene.points.iter().map(|point| (point.position, point.rgb)).collect())
 }
 
-/// What the first 30 iterations of 3DGS make of the points, each longest along one axis. Improved-GS parts children along
-/// it, and of a ball rounding chooses it.
+/// What the first 30 iterations of 3DGS make of the points, each longest along one axis. Improved-GS parts
+/// children along it, and of a ball rounding chooses it.
 fn ellipsoids(scene: &Scene) -> Gaussians {
     let config = TrainConfig { iterations: 6000, ..config(MethodName::ThreeDgs) }.resolve().unwrap();
     let (run, _) = trained(&mut CpuBackend::new(), scene, points(scene), &config);

@@ -1,7 +1,7 @@
 //! Zip archives of scenes and of photos: what a scene consists of is unpacked, and nothing else.
 //!
-//! An archive is believed as little as any file: no entry leads out of its folder, and what it claims to hold is compared
-//! with its own size before anything is written.
+//! An archive is believed as little as any file: no entry leads out of its folder, and what it claims to hold
+//! is compared with its own size before anything is written.
 
 pub(crate) mod entries;
 
@@ -20,8 +20,8 @@ use crate::{input, names, own, shown};
 /// Endings of all that scenes consist of.
 const ENDINGS: [&str; 8] = ["jpg", "jpeg", "png", "webp", "bin", "txt", "json", "ply"];
 
-/// An archive is believed to hold so many bytes, and so many more for each of its own: photos hardly shrink in one, and
-/// lists of points to a fifth.
+/// An archive is believed to hold so many bytes, and so many more for each of its own: photos hardly shrink
+/// in one, and lists of points to a fifth.
 const EXPANSION: [u64; 2] = [1 << 26, 16];
 
 /// Why an archive could not be unpacked.
@@ -80,7 +80,8 @@ pub fn is_zip(path: &Path) -> bool {
     has_ending(path, &["zip"]) && path.is_file()
 }
 
-/// Unpacks photos, models, lists and clouds of points into `folder`. When it returns, all of it is on the disk.
+/// Unpacks photos, models, lists and clouds of points into `folder`. When it returns, all of it is on the
+/// disk.
 pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let read = |source| ArchiveError::Read { archive: archive.to_owned(), source };
     let file = input::open(archive).map_err(read)?;
@@ -88,17 +89,20 @@ pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let mut written = Vec::new();
     let unpacked = each_entry(archive, BufReader::new(file), bytes, |name, content| {
         let file = folder.join(name);
-        own::write_unflushed(folder, Path::new(name), |out| io::copy(content, out).map(drop)).map_err(|source| {
-            match source.kind() {
-                ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
+        own::write_unflushed(folder, Path::new(name), |out| io::copy(content, out).map(drop)).map_err(
+            |source| match source.kind() {
+                ErrorKind::InvalidData => {
+                    refused(archive, format!("is damaged at {}: {source}", shown(name)))
+                }
                 _ => ArchiveError::Write { file: file.clone(), source },
-            }
-        })?;
+            },
+        )?;
         written.push(file);
         Ok(())
     })?;
     // All at once: one by one, thousands of small files wait for the disk for half a minute.
-    atomic::flush(folder, &written).map_err(|source| ArchiveError::Write { file: folder.to_owned(), source })?;
+    atomic::flush(folder, &written)
+        .map_err(|source| ArchiveError::Write { file: folder.to_owned(), source })?;
     Ok(unpacked)
 }
 
@@ -130,7 +134,10 @@ impl<R: Read> Read for Content<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let invalid = |what: String| io::Error::new(ErrorKind::InvalidData, what);
         let read = self.entry.read(out).map_err(|error| invalid(error.to_string()))?;
-        self.left = self.left.checked_sub(read as u64).ok_or_else(|| invalid("it holds more than it claims".into()))?;
+        self.left = self
+            .left
+            .checked_sub(read as u64)
+            .ok_or_else(|| invalid("it holds more than it claims".into()))?;
         Ok(read)
     }
 }
@@ -143,11 +150,16 @@ struct Wanted {
     unread: Vec<PathBuf>,
 }
 
-fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -> Result<Wanted, ArchiveError> {
+fn wanted(
+    path: &Path,
+    archive: &mut ZipArchive<impl Read + Seek>,
+    bytes: u64,
+) -> Result<Wanted, ArchiveError> {
     let (mut entries, mut unread, mut names) = (Vec::new(), Vec::new(), HashSet::new());
     let (mut claimed, mut packed) = (0u64, 0u64);
     for index in 0..archive.len() {
-        let entry = archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
+        let entry =
+            archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
         let name = match name_of(entry.enclosed_name()) {
             Ok(name) => name,
             // The folder itself.
@@ -170,7 +182,8 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
         if entry.encrypted() {
             return Err(refused(path, format!("holds {}, which is locked by a password", shown(&name))));
         }
-        (claimed, packed) = (claimed.saturating_add(entry.size()), packed.saturating_add(entry.compressed_size()));
+        (claimed, packed) =
+            (claimed.saturating_add(entry.size()), packed.saturating_add(entry.compressed_size()));
         // Many file systems do not tell cases apart.
         if !names.insert(name.to_string_lossy().to_lowercase()) {
             return Err(refused(path, format!("holds {} twice", shown(&name))));
@@ -179,7 +192,10 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
     }
     // More packed bytes than there are: entries that overlap.
     if packed > bytes || claimed > EXPANSION[0].saturating_add(EXPANSION[1].saturating_mul(bytes)) {
-        return Err(refused(path, format!("claims to hold {claimed} bytes, far more than its {bytes} make likely")));
+        return Err(refused(
+            path,
+            format!("claims to hold {claimed} bytes, far more than its {bytes} make likely"),
+        ));
     }
     match (entries.is_empty(), unread.first()) {
         (true, None) => Err(refused(path, "holds no photos and no scene".into())),

@@ -1,11 +1,11 @@
 //! Files that appear whole or not at all.
 //!
-//! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then renamed. A
-//! full disk or a killed process leaves the old file, never a partial one.
+//! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then
+//! renamed. A full disk or a killed process leaves the old file, never a partial one.
 //!
-//! This is for names that users give. Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe,
-//! a terminal, a device) takes the bytes as they come, since a rename would put a file in its place. Names of ours are for
-//! [`crate::own`].
+//! This is for names that users give. Symbolic links stay: what they lead to is replaced. What is no regular
+//! file (a pipe, a terminal, a device) takes the bytes as they come, since a rename would put a file in its
+//! place. Names of ours are for [`crate::own`].
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
@@ -21,7 +21,10 @@ const LINKS_MAX: u32 = 40;
 /// Writes the file at `path` through `fill`; missing parent folders are made.
 ///
 /// On an error the temporary file is removed and whatever was at `path` before is still there.
-pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
+pub fn write_atomically(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
     match Target::of(path)? {
         Target::File(path) => replace(&path, File::sync_all, fill),
         Target::Stream => fill_file(OpenOptions::new().append(true).open(path)?, fill).map(|_| ()),
@@ -40,7 +43,8 @@ pub(crate) fn flush(_folder: &Path, files: &[PathBuf]) -> io::Result<()> {
     files.iter().try_for_each(|file| OpenOptions::new().write(true).open(file)?.sync_all())
 }
 
-/// Ends this process at once, whatever other threads do: no file that is being written stays, and none appears any more.
+/// Ends this process at once, whatever other threads do: no file that is being written stays, and none
+/// appears any more.
 pub fn end_process(status: i32) -> ! {
     let unfinished = unfinished();
     for temporary in &*unfinished {
@@ -58,7 +62,8 @@ fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Fails where [`write_atomically`] would, as far as that is known before anything is written. Leaves nothing behind.
+/// Fails where [`write_atomically`] would, as far as that is known before anything is written. Leaves nothing
+/// behind.
 pub fn check_writable(path: &Path) -> io::Result<()> {
     let Target::File(path) = Target::of(path)? else { return Ok(()) };
     probe(&path)
@@ -92,8 +97,8 @@ impl Target {
     }
 }
 
-/// True for names of open files. `/dev/stdout` may be a regular file, which the shell and we have open: replaced, it
-/// would lose what is printed. (In `/dev/shm`, files are like all others.)
+/// True for names of open files. `/dev/stdout` may be a regular file, which the shell and we have open:
+/// replaced, it would lose what is printed. (In `/dev/shm`, files are like all others.)
 fn is_open_already(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"].iter().any(|open| path.starts_with(open))
 }
@@ -119,7 +124,8 @@ pub(crate) fn replace(
     unfinished.finish_after(flush)
 }
 
-/// A file under way, under a temporary name beside the place that it takes once it is whole. Dropped before, it is gone.
+/// A file under way, under a temporary name beside the place that it takes once it is whole. Dropped before,
+/// it is gone.
 #[derive(Debug)]
 pub struct Unfinished {
     temporary: PathBuf,
@@ -129,12 +135,14 @@ pub struct Unfinished {
 }
 
 impl Unfinished {
-    /// An empty file that becomes the one at `path`, or behind it where it is a link; missing folders are made. Fails where
-    /// `path` is a stream.
+    /// An empty file that becomes the one at `path`, or behind it where it is a link; missing folders are
+    /// made. Fails where `path` is a stream.
     pub fn of(path: &Path) -> io::Result<Self> {
         match Target::of(path)? {
             Target::File(path) => Self::at(&path),
-            Target::Stream => Err(io::Error::new(ErrorKind::InvalidInput, "it is no regular file, and one is needed")),
+            Target::Stream => {
+                Err(io::Error::new(ErrorKind::InvalidInput, "it is no regular file, and one is needed"))
+            }
         }
     }
 
@@ -184,8 +192,9 @@ fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<(
     writer.into_inner().map_err(io::IntoInnerError::into_error)
 }
 
-/// A new hidden file under a free name, in the folder of `path` (a rename must not cross disks). A name may be taken:
-/// in containers a process often has the id of the one before, which may have been killed and have left its files.
+/// A new hidden file under a free name, in the folder of `path` (a rename must not cross disks). A name may
+/// be taken: in containers a process often has the id of the one before, which may have been killed and have
+/// left its files.
 fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
     static COUNTER: AtomicU32 = AtomicU32::new(0);
     path.file_name().ok_or_else(|| io::Error::other("the path has no file name"))?;
@@ -246,7 +255,8 @@ mod tests {
         let name = left.file_name().unwrap().to_str().unwrap().to_owned();
         let serial: u32 = name.trim_end_matches(".tmp").rsplit('-').next().unwrap().parse().unwrap();
         // The next names are taken as well.
-        let next = |more: u32| left.with_file_name(format!(".genesplat-{}-{}.tmp", process::id(), serial + more));
+        let next =
+            |more: u32| left.with_file_name(format!(".genesplat-{}-{}.tmp", process::id(), serial + more));
         (1..200).for_each(|more| fs::write(next(more), b"left").unwrap());
         let path = folder.path().join("x".repeat(250));
         write_atomically(&path, |out| out.write_all(b"whole")).unwrap();

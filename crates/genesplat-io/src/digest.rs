@@ -16,7 +16,8 @@ impl Digest {
         Self(Sha256::digest(bytes).into())
     }
 
-    /// That of numbers but for rounding: as f32, so that a last bit of a sine, which platforms compute differently, changes nothing.
+    /// That of numbers but for rounding: as f32, so that a last bit of a sine, which platforms compute
+    /// differently, changes nothing.
     pub fn of_numbers(numbers: impl IntoIterator<Item = f64>) -> Self {
         // Without a sign of zero.
         let word = |number: f64| (number as f32 + 0.0).to_le_bytes();

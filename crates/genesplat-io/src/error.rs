@@ -79,8 +79,8 @@ pub enum SceneError {
         /// Where and why.
         source: serde_json::Error,
     },
-    /// A file whose records cannot be used together: names that occur twice or lead out of the scene, lists that
-    /// contradict each other, too few photos or points.
+    /// A file whose records cannot be used together: names that occur twice or lead out of the scene, lists
+    /// that contradict each other, too few photos or points.
     #[error("{} {problem}", shown(.file))]
     Invalid {
         /// The file, or the folder of the scene.

@@ -1,7 +1,7 @@
 //! Input files: regular files only.
 //!
-//! To open a named pipe waits for a writer that may never come, and a device may give bytes for ever. So what a path
-//! leads to is looked at before it is opened.
+//! To open a named pipe waits for a writer that may never come, and a device may give bytes for ever. So what
+//! a path leads to is looked at before it is opened.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind};
@@ -35,8 +35,11 @@ fn check_regular(path: &Path) -> io::Result<()> {
     if kind.is_file() {
         return Ok(());
     }
-    let (error, what) =
-        if kind.is_dir() { (ErrorKind::IsADirectory, "a folder") } else { (ErrorKind::InvalidInput, special(kind)) };
+    let (error, what) = if kind.is_dir() {
+        (ErrorKind::IsADirectory, "a folder")
+    } else {
+        (ErrorKind::InvalidInput, special(kind))
+    };
     Err(io::Error::new(error, format!("it is {what}, and a regular file is needed")))
 }
 
@@ -69,7 +72,10 @@ mod tests {
         fs::write(&file, b"text").unwrap();
         assert_eq!((read(&file).unwrap(), read_text(&file).unwrap()), (b"text".to_vec(), "text".into()));
         let refused = open(folder.path()).unwrap_err();
-        assert!(refused.kind() == ErrorKind::IsADirectory && refused.to_string().contains("a folder"), "{refused}");
+        assert!(
+            refused.kind() == ErrorKind::IsADirectory && refused.to_string().contains("a folder"),
+            "{refused}"
+        );
         assert_eq!(read(&folder.path().join("absent")).unwrap_err().kind(), ErrorKind::NotFound);
     }
 
@@ -83,7 +89,9 @@ mod tests {
         let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
         std::os::unix::fs::symlink("pipe", &link).unwrap();
         let device = Path::new("/dev/zero");
-        for (path, what) in [(&*pipe, "a pipe"), (&link, "a pipe"), (&socket, "a socket"), (device, "a device")] {
+        for (path, what) in
+            [(&*pipe, "a pipe"), (&link, "a pipe"), (&socket, "a socket"), (device, "a device")]
+        {
             for refused in [open(path).unwrap_err(), read(path).unwrap_err(), read_text(path).unwrap_err()] {
                 assert!(refused.to_string().contains(what), "{}: {refused}", crate::shown(path));
             }

@@ -1,4 +1,5 @@
-//! What the readers of scenes ([`crate::colmap`], `transforms`) return, before any photo is decoded, and what they check.
+//! What the readers of scenes ([`crate::colmap`], `transforms`) return, before any photo is decoded, and what
+//! they check.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::ffi::OsStr;
@@ -31,7 +32,8 @@ pub(crate) struct Listing {
 
 /// A photo that exists and is not decoded yet.
 pub(crate) struct ListedPhoto {
-    /// As the list spells its path; [`Listing::name_views`] makes it unique within the scene and free of separators.
+    /// As the list spells its path; [`Listing::name_views`] makes it unique within the scene and free of
+    /// separators.
     pub(crate) name: String,
     pub(crate) path: PathBuf,
     /// The file that lists it, for errors; a scene may have several.
@@ -75,12 +77,13 @@ impl Listing {
         self.notices.push(format!("the scene has no points, so training starts from {count} random ones"));
     }
 
-    /// Fails where two entries have found the same file: the photo of one of them is not where its list says. Entries of
-    /// one name are an error of [`Listing::name_views`].
+    /// Fails where two entries have found the same file: the photo of one of them is not where its list says.
+    /// Entries of one name are an error of [`Listing::name_views`].
     pub(crate) fn check_not_shared(&self) -> Result<(), SceneError> {
         let mut finders: HashMap<&Path, &ListedPhoto> = HashMap::new();
         for photo in &self.photos {
-            let Some(first) = finders.insert(&photo.path, photo).filter(|first| first.name != photo.name) else {
+            let Some(first) = finders.insert(&photo.path, photo).filter(|first| first.name != photo.name)
+            else {
                 continue;
             };
             let problem = format!(
@@ -103,8 +106,8 @@ impl Listing {
     }
 }
 
-/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so; and the one form
-/// of names, where it has one.
+/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so;
+/// and the one form of names, where it has one.
 pub(crate) fn separate(name: &mut String, folder: &Path) {
     if name.contains('\\') && !folder.join(&*name).is_file() {
         *name = name.replace('\\', "/");
@@ -136,8 +139,8 @@ pub(crate) fn bad_pose(list: &Path, photo: &str, problem: &str) -> SceneError {
     SceneError::bad_record(list, format!("the pose of photo {} {problem}; {remedy}", shown(photo)))
 }
 
-/// Largest coordinate of a point or a camera that is believed, world units. Beyond it, a reconstruction has gone wrong:
-/// squares of distances overflow f32 at 1e19, and at 1e9 a pixel is far below what f32 resolves.
+/// Largest coordinate of a point or a camera that is believed, world units. Beyond it, a reconstruction has
+/// gone wrong: squares of distances overflow f32 at 1e19, and at 1e9 a pixel is far below what f32 resolves.
 pub(crate) const COORDINATE_MAX: f64 = 1e9;
 
 /// What makes a position impossible, if anything does.
@@ -161,7 +164,8 @@ pub(crate) fn intrinsics_problem(
     const SIDE_MAX_PX: f64 = (1 << 20) as f64;
     /// The same for focal lengths and, to either side, principal points.
     const LENGTH_MAX_PX: f64 = 1e9;
-    /// The least focal length: with a shorter one, a photo shows more than half of the sky within f32's resolution.
+    /// The least focal length: with a shorter one, a photo shows more than half of the sky within f32's
+    /// resolution.
     const FOCAL_MIN_PX: f64 = 1e-3;
     if !size_px.iter().all(|side| (1.0..=SIDE_MAX_PX).contains(side)) {
         Some("has an impossible image size")
@@ -189,21 +193,27 @@ pub(crate) fn coefficients_problem(coefficients: &[f64]) -> Option<&'static str>
     }
 }
 
-/// Of all photos that `list` has, these do not exist: published scenes list photos that were removed as blurred.
+/// Of all photos that `list` has, these do not exist: published scenes list photos that were removed as
+/// blurred.
 pub(crate) fn absent_notice(missing: &[PathBuf], all: usize, list: &Path) -> Option<String> {
     let (first, gone, list) = (shown(missing.first()?), missing.len(), shown(list));
     Some(format!("{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"))
 }
 
-/// Of the photos beside those that were `found`, at least a tenth is not in `list`: cameras were not found for them.
-pub(crate) fn left_out_notice<'a>(found: impl Iterator<Item = &'a Path> + Clone, list: &Path) -> Option<String> {
+/// Of the photos beside those that were `found`, at least a tenth is not in `list`: cameras were not found
+/// for them.
+pub(crate) fn left_out_notice<'a>(
+    found: impl Iterator<Item = &'a Path> + Clone,
+    list: &Path,
+) -> Option<String> {
     let folders: BTreeSet<&Path> = found.clone().filter_map(Path::parent).collect();
     let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
     let there: Vec<PathBuf> =
         folders.into_iter().flat_map(entries).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)).collect();
     // A photo may lie beside what was made of it: `a.webp` beside `a.webp.png`.
-    let is_used =
-        |photo: &Path| [photo.file_stem(), photo.file_name()].into_iter().flatten().any(|name| stems.contains(name));
+    let is_used = |photo: &Path| {
+        [photo.file_stem(), photo.file_name()].into_iter().flatten().any(|name| stems.contains(name))
+    };
     let left_out: Vec<&PathBuf> = there.iter().filter(|photo| !is_used(photo)).collect();
     let (first, count, all) = (left_out.iter().min()?, left_out.len(), there.len());
     (10 * count >= all).then(|| {
@@ -220,8 +230,10 @@ pub(crate) fn left_out_notice<'a>(found: impl Iterator<Item = &'a Path> + Clone,
 pub(crate) fn similar_notice(similar: Similar, list: &Path) -> Option<String> {
     let (wanted, found, count) = similar.found()?;
     let [wanted, found] = [wanted, found].map(|path| shown(path.file_name().unwrap_or_default()));
-    let (list, photos) =
-        (shown(list), plural(count, "photo has another case or ending", "photos have other cases or endings"));
+    let (list, photos) = (
+        shown(list),
+        plural(count, "photo has another case or ending", "photos have other cases or endings"),
+    );
     Some(format!("{count} {photos} than {list} says, first {found} for {wanted}"))
 }
 
@@ -235,9 +247,15 @@ pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path, elsewhere: O
             format!("; {} has photos of these names, so give --images {}", shown(elsewhere), name(elsewhere))
         }
         (_, Some(found), _) => {
-            format!(", which has names like {} where {} is wanted; put the photos there", name(&found), name(wanted))
+            format!(
+                ", which has names like {} where {} is wanted; put the photos there",
+                name(&found),
+                name(wanted)
+            )
         }
-        (_, _, Some(unread)) => format!(", which has pictures like {} that are not read; {CONVERT}", name(&unread)),
+        (_, _, Some(unread)) => {
+            format!(", which has pictures like {} that are not read; {CONVERT}", name(&unread))
+        }
         _ => "; put the photos there".into(),
     };
     SceneError::AllPhotosMissing { count, list: list.to_owned(), folder: folder.to_owned(), remedy }
@@ -247,8 +265,8 @@ pub(crate) fn base_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// A file name for each view: that of its photo. Where photos share one, the whole path joined by `_`, or by as many
-/// `_` as tell all of them apart.
+/// A file name for each view: that of its photo. Where photos share one, the whole path joined by `_`, or by
+/// as many `_` as tell all of them apart.
 fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let whole: Vec<String> = paths.iter().map(|path| path.trim_start_matches("./").to_owned()).collect();
     if let Some(name) = repeated(&whole) {
@@ -259,7 +277,9 @@ fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let joined = (1..).map(|count| whole.iter().map(|path| path.replace('/', &"_".repeat(count))).collect());
     let mut candidates = std::iter::once(own).chain(joined);
     // Beyond the longest run of `_` in a path, different paths have different names.
-    Ok(candidates.find(|names| repeated(names).is_none()).expect("different paths end up with different names"))
+    Ok(candidates
+        .find(|names| repeated(names).is_none())
+        .expect("different paths end up with different names"))
 }
 
 fn repeated(names: &[String]) -> Option<&String> {

@@ -1,7 +1,7 @@
 //! Names of files below a folder, as strangers write them: in lists, in archives, on disks.
 //!
-//! Whatever makes a path of such a name takes it from here, in one form: parts joined by `/`, none of which is empty, `.` or
-//! `..`. So a name never leads out of its folder, and two names of one file are equal.
+//! Whatever makes a path of such a name takes it from here, in one form: parts joined by `/`, none of which
+//! is empty, `.` or `..`. So a name never leads out of its folder, and two names of one file are equal.
 
 use std::path::{Component, Path};
 
@@ -67,7 +67,9 @@ fn below_on(name: &str, is_windows: bool) -> Result<String, NameProblem> {
     }
     parts.iter().try_for_each(|part| match *part {
         ".." => Err(NameProblem::LeadsOut),
-        part if part.contains('\0') || (is_windows && !is_allowed_on_windows(part)) => Err(NameProblem::Impossible),
+        part if part.contains('\0') || (is_windows && !is_allowed_on_windows(part)) => {
+            Err(NameProblem::Impossible)
+        }
         _ => Ok(()),
     })?;
     Ok(parts.join("/"))
@@ -79,12 +81,13 @@ fn has_drive(name: &str) -> bool {
     bytes.first().is_some_and(u8::is_ascii_alphabetic) && bytes.get(1) == Some(&b':')
 }
 
-/// Windows opens devices by some names, whatever ending follows, streams of a file by what follows a colon, and another file
-/// where a name ends in dots or spaces (Microsoft, Naming Files, Paths, and Namespaces).
+/// Windows opens devices by some names, whatever ending follows, streams of a file by what follows a colon,
+/// and another file where a name ends in dots or spaces (Microsoft, Naming Files, Paths, and Namespaces).
 fn is_allowed_on_windows(part: &str) -> bool {
     let stem = part.split('.').next().unwrap_or(part).trim_end().to_ascii_uppercase();
     let is_numbered = ["COM", "LPT"].iter().any(|port| {
-        stem.strip_prefix(port).is_some_and(|number| number.chars().count() == 1 && "123456789¹²³".contains(number))
+        stem.strip_prefix(port)
+            .is_some_and(|number| number.chars().count() == 1 && "123456789¹²³".contains(number))
     });
     let is_device = is_numbered || ["CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$"].contains(&stem.as_str());
     let is_forbidden = |char: char| char < ' ' || "<>:\"|?*".contains(char);
@@ -115,7 +118,11 @@ mod tests {
             ("a\0.png", Impossible),
         ];
         for (name, problem) in refused {
-            assert_eq!((below_on(name, false), below_on(name, true)), (Err(problem), Err(problem)), "{name:?}");
+            assert_eq!(
+                (below_on(name, false), below_on(name, true)),
+                (Err(problem), Err(problem)),
+                "{name:?}"
+            );
         }
         assert_eq!(below("..a/b..c/...").as_deref(), Ok("..a/b..c/..."));
     }
@@ -125,9 +132,19 @@ mod tests {
         for name in ["C:/1.png", "c:1.png", "C:", "\\1.png", "\\\\server\\share", "a\\..\\..\\1.png"] {
             assert_eq!(below_on(name, true), Err(LeadsOut), "{name}");
         }
-        for name in
-            ["CON", "a/nul.png", "aux.tar.gz", "com1", "LPT9.txt", "lpt\u{b9}", "a:b", "a.png.", "a ", "a?", "con .x"]
-        {
+        for name in [
+            "CON",
+            "a/nul.png",
+            "aux.tar.gz",
+            "com1",
+            "LPT9.txt",
+            "lpt\u{b9}",
+            "a:b",
+            "a.png.",
+            "a ",
+            "a?",
+            "con .x",
+        ] {
             assert_eq!(below_on(name, true), Err(Impossible), "{name}");
             assert!(below_on(name, false).is_ok(), "{name}");
         }

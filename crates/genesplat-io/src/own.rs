@@ -1,9 +1,9 @@
 //! Files whose names are ours, not the user's: `metrics.json` of a run, `engine.log` of a search for cameras.
 //!
-//! The folder that the user names may come from a stranger, and so may what stands in it at such a name: a link that
-//! leads to any file of the user's, or a pipe, which nobody would ever read. So below that folder no link is followed,
-//! neither as a file nor as a folder on the way, and only regular files are written to. What is opened is looked at by
-//! its descriptor. Names that the user gives are for [`crate::atomic`].
+//! The folder that the user names may come from a stranger, and so may what stands in it at such a name: a
+//! link that leads to any file of the user's, or a pipe, which nobody would ever read. So below that folder
+//! no link is followed, neither as a file nor as a folder on the way, and only regular files are written to.
+//! What is opened is looked at by its descriptor. Names that the user gives are for [`crate::atomic`].
 
 use std::fs::{self, File, FileType, Metadata, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind};
@@ -22,8 +22,8 @@ pub struct NotOurs {
     wanted: &'static str,
 }
 
-/// Writes the file `name` in `folder` through `fill`, whole or not at all; missing folders are made. A link of that name
-/// is replaced, and what it led to stays as it is.
+/// Writes the file `name` in `folder` through `fill`, whole or not at all; missing folders are made. A link
+/// of that name is replaced, and what it led to stays as it is.
 pub fn write(
     folder: &Path,
     name: impl AsRef<Path>,
@@ -32,8 +32,8 @@ pub fn write(
     write_after(folder, name.as_ref(), File::sync_all, fill)
 }
 
-/// The same for one of many files that [`crate::atomic::flush`] puts on the disk together: until then, a machine that
-/// loses its power may lose what is in it.
+/// The same for one of many files that [`crate::atomic::flush`] puts on the disk together: until then, a
+/// machine that loses its power may lose what is in it.
 pub(crate) fn write_unflushed(
     folder: &Path,
     name: &Path,
@@ -60,8 +60,8 @@ pub fn touch(folder: &Path, name: impl AsRef<Path>) -> io::Result<File> {
     open_to_append(&place(folder, name.as_ref())?)
 }
 
-/// The file `name` in `folder`, at its end; made where it is missing. One that has other names, too, becomes a file of its
-/// own: the others may be the user's.
+/// The file `name` in `folder`, at its end; made where it is missing. One that has other names, too, becomes
+/// a file of its own: the others may be the user's.
 pub fn append(folder: &Path, name: impl AsRef<Path>) -> io::Result<File> {
     let path = place(folder, name.as_ref())?;
     let file = open_to_append(&path)?;
@@ -82,14 +82,15 @@ pub fn create(folder: &Path, name: impl AsRef<Path>) -> io::Result<File> {
     open_regular(&path, OpenOptions::new().create_new(true).append(true))
 }
 
-/// Fails where the file `name` in `folder` could not be written, or is a link, as far as that is known before. Leaves
-/// nothing behind.
+/// Fails where the file `name` in `folder` could not be written, or is a link, as far as that is known
+/// before. Leaves nothing behind.
 pub fn check(folder: &Path, name: impl AsRef<Path>) -> io::Result<()> {
     check_name(folder, &name)?;
     probe(&folder.join(name))
 }
 
-/// Fails where something else than a regular file has the name `name` in `folder`, or than a folder on the way to it.
+/// Fails where something else than a regular file has the name `name` in `folder`, or than a folder on the
+/// way to it.
 pub fn check_name(folder: &Path, name: impl AsRef<Path>) -> io::Result<()> {
     let (mut path, parts) = (folder.to_owned(), parts(name.as_ref())?);
     let (file, folders) = parts.split_last().ok_or_else(no_name)?;
@@ -132,8 +133,8 @@ pub fn make_folder(folder: &Path, name: impl AsRef<Path>) -> io::Result<PathBuf>
     Ok(path)
 }
 
-/// A second name for the file `from`, `name` in `folder`; a copy, which appears whole, where the file system makes no such
-/// links. Fails with [`ErrorKind::AlreadyExists`] where something has that name.
+/// A second name for the file `from`, `name` in `folder`; a copy, which appears whole, where the file system
+/// makes no such links. Fails with [`ErrorKind::AlreadyExists`] where something has that name.
 pub fn link_or_copy(from: &Path, folder: &Path, name: impl AsRef<Path>) -> io::Result<()> {
     let (from, to) = (from.canonicalize()?, place(folder, name.as_ref())?);
     match fs::hard_link(&from, &to) {
@@ -180,7 +181,9 @@ fn parts(name: &Path) -> io::Result<Vec<Component<'_>>> {
     let parts: Vec<Component> = name.components().filter(|part| *part != Component::CurDir).collect();
     match parts.iter().all(leads_down) {
         true => Ok(parts),
-        false => Err(io::Error::new(ErrorKind::InvalidInput, format!("{} leads out of its folder", shown(name)))),
+        false => {
+            Err(io::Error::new(ErrorKind::InvalidInput, format!("{} leads out of its folder", shown(name))))
+        }
     }
 }
 
@@ -208,7 +211,9 @@ fn check_file(path: &Path, there: FileType) -> io::Result<()> {
 fn check_folder(path: &Path, there: FileType) -> io::Result<()> {
     match there {
         _ if there.is_dir() => Ok(()),
-        _ if there.is_file() => Err(io::Error::new(ErrorKind::NotADirectory, format!("{} is a file", shown(path)))),
+        _ if there.is_file() => {
+            Err(io::Error::new(ErrorKind::NotADirectory, format!("{} is a file", shown(path))))
+        }
         _ => Err(not_ours(path, there, "folder")),
     }
 }
@@ -279,8 +284,12 @@ fn is_one_file(_: &Metadata, _: &Metadata) -> bool {
 
 /// Whether a link cannot be made on this file system, or to this file; all else is an error to report.
 fn makes_no_links(error: &io::Error) -> bool {
-    let of_kind =
-        [ErrorKind::CrossesDevices, ErrorKind::Unsupported, ErrorKind::PermissionDenied, ErrorKind::TooManyLinks];
+    let of_kind = [
+        ErrorKind::CrossesDevices,
+        ErrorKind::Unsupported,
+        ErrorKind::PermissionDenied,
+        ErrorKind::TooManyLinks,
+    ];
     // FAT on Windows: ERROR_INVALID_FUNCTION.
     of_kind.contains(&error.kind()) || (cfg!(windows) && error.raw_os_error() == Some(1))
 }
@@ -327,7 +336,10 @@ mod tests {
             let refused = [append(&run, "name").err(), create(&run, "name").err(), check(&run, "name").err()];
             for error in refused {
                 let error = error.unwrap();
-                assert!(error.get_ref().unwrap().is::<NotOurs>() && error.to_string().contains("a link"), "{error}");
+                assert!(
+                    error.get_ref().unwrap().is::<NotOurs>() && error.to_string().contains("a link"),
+                    "{error}"
+                );
             }
             write(&run, "name", |out| out.write_all(b"ours")).unwrap();
             assert!(!link.is_symlink() && fs::read(&link).unwrap() == b"ours");
@@ -354,7 +366,10 @@ mod tests {
             make_folder(&run, "test/more").err(),
         ];
         for error in refused {
-            assert!(error.as_ref().unwrap().to_string().contains("a link, and a folder is needed"), "{error:?}");
+            assert!(
+                error.as_ref().unwrap().to_string().contains("a link, and a folder is needed"),
+                "{error:?}"
+            );
         }
         is_untouched(&precious);
         // Links before the folder that the user names are the user's.

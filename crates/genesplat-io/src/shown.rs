@@ -1,7 +1,9 @@
-//! Names as they are shown: in messages, on terminals, in pages, in commands to copy; and counts of what is named.
+//! Names as they are shown: in messages, on terminals, in pages, in commands to copy; and counts of what is
+//! named.
 //!
-//! A file's name may hold any character, and a terminal obeys some: ESC begins commands, a carriage return or a
-//! right-to-left override hides what stood before. So those are shown as escapes, and a name never breaks a line.
+//! A file's name may hold any character, and a terminal obeys some: ESC begins commands, a carriage return or
+//! a right-to-left override hides what stood before. So those are shown as escapes, and a name never breaks a
+//! line.
 
 use std::ffi::OsStr;
 
@@ -51,8 +53,8 @@ fn quoted(word: &str) -> String {
     }
 }
 
-/// Control characters (C0, DEL, C1), line and paragraph separators, and what changes the direction of writing (Unicode
-/// Standard Annex 9, section 2).
+/// Control characters (C0, DEL, C1), line and paragraph separators, and what changes the direction of writing
+/// (Unicode Standard Annex 9, section 2).
 fn is_obeyed(char: char) -> bool {
     let breaks_line = matches!(char, '\u{2028}' | '\u{2029}');
     let turns = matches!(char, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');

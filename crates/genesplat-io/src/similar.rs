@@ -11,7 +11,8 @@ pub const PHOTO_ENDINGS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
 pub const VIDEO_ENDINGS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 
 /// Endings of pictures that are not, so that leaving them out is said.
-pub const UNREAD: [&str; 11] = ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
+pub const UNREAD: [&str; 11] =
+    ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
 
 /// What to do with pictures that are not read.
 pub const CONVERT: &str = "convert them to JPEG, with `heif-convert` or any image program (phones that are set to \"most compatible\" take \
@@ -22,7 +23,8 @@ pub fn ending(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
-/// Whether a file of this name lists photos and cameras as nerfstudio and Blender have them: `transforms_train.json`.
+/// Whether a file of this name lists photos and cameras as nerfstudio and Blender have them:
+/// `transforms_train.json`.
 pub fn is_transforms(name: &str) -> bool {
     name.starts_with("transforms") && name.ends_with(".json")
 }
@@ -39,7 +41,8 @@ pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
 /// The folder `path`, or the only one that differs from it in case.
 pub(crate) fn folder(path: &Path) -> PathBuf {
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let others = || entries(path.parent().unwrap_or(path)).filter(|other| other.is_dir() && name(other) == name(path));
+    let others =
+        || entries(path.parent().unwrap_or(path)).filter(|other| other.is_dir() && name(other) == name(path));
     match (path.is_dir(), others().next(), others().count()) {
         (false, Some(other), 1) => other,
         _ => path.to_owned(),

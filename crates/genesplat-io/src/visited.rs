@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 pub struct Visited(HashSet<PathBuf>);
 
 impl Visited {
-    /// Whether this folder was not looked into by any name; from now on, it was. False where it cannot be found.
+    /// Whether this folder was not looked into by any name; from now on, it was. False where it cannot be
+    /// found.
     pub fn is_new(&mut self, folder: &Path) -> bool {
         folder.canonicalize().is_ok_and(|folder| self.0.insert(folder))
     }
@@ -24,7 +25,8 @@ mod tests {
         std::fs::create_dir(place.path().join("a")).unwrap();
         std::os::unix::fs::symlink(".", place.path().join("link")).unwrap();
         let mut visited = Visited::default();
-        let new = ["", "link", "a", "link/link/a", "absent"].map(|name| visited.is_new(&place.path().join(name)));
+        let new =
+            ["", "link", "a", "link/link/a", "absent"].map(|name| visited.is_new(&place.path().join(name)));
         assert_eq!(new, [true, false, true, false, false]);
     }
 }

@@ -12,8 +12,8 @@
 //! | `blending_weights` | how much of each pixel every Gaussian is, times a map |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
-//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast one:
-//! f32, rayon, SIMD picked at run time. The GPU's stages have the same names.
+//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the
+//! fast one: f32, rayon, SIMD picked at run time. The GPU's stages have the same names.
 
 pub mod cpu;
 pub mod reference;

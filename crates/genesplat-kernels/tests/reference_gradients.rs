@@ -1,7 +1,7 @@
 //! The reference's gradients against central differences of its own forward pass, in f64, every parameter.
 //!
-//! Tolerance 1e-5 (relative). What is seen on these scenes is a few 1e-6, from the stencil itself: the smooth cut-off
-//! is a steep ramp, and rounding is divided by the step.
+//! Tolerance 1e-5 (relative). What is seen on these scenes is a few 1e-6, from the stencil itself: the smooth
+//! cut-off is a steep ramp, and rounding is divided by the step.
 
 mod reference_support;
 
@@ -18,13 +18,15 @@ fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
 /// Compares all gradients of a smooth functional of the image, `Σ w (C + C²/2)`, with differences.
 fn check(cloud: &Cloud64, camera: &Camera, settings: &RenderSettings) -> Cloud64 {
     let mut uniform = Uniform::new(77);
-    let weights: Vec<f64> = (0..3 * camera.width * camera.height).map(|_| uniform.between(-1.0, 1.0)).collect();
+    let weights: Vec<f64> =
+        (0..3 * camera.width * camera.height).map(|_| uniform.between(-1.0, 1.0)).collect();
     let value = |cloud: &Cloud64| {
         let image = render(cloud, camera, settings, Cutoff::Smooth).picture.image;
         image.iter().zip(&weights).map(|(c, w)| w * (c + 0.5 * c * c)).sum::<f64>()
     };
     let rendered = render(cloud, camera, settings, Cutoff::Smooth);
-    let by_image: Vec<f64> = rendered.picture.image.iter().zip(&weights).map(|(c, w)| w * (1.0 + c)).collect();
+    let by_image: Vec<f64> =
+        rendered.picture.image.iter().zip(&weights).map(|(c, w)| w * (1.0 + c)).collect();
     let actual = backward(cloud, camera, settings, Cutoff::Smooth, &rendered, &by_image).cloud;
     compare_clouds(&differences(cloud, value), &actual, TOLERANCE).unwrap();
     actual
@@ -129,11 +131,12 @@ fn the_loss_by_every_pixel() {
     }
 }
 
-/// The gradient by the projected mean is the one that density control reads: moving the principal point moves every
-/// mean by a pixel each, so the sum over the splats is the derivative by it.
+/// The gradient by the projected mean is the one that density control reads: moving the principal point moves
+/// every mean by a pixel each, so the sum over the splats is the derivative by it.
 #[test]
 fn screen_space_gradients_sum_to_that_of_the_principal_point() {
-    let (cloud, camera, settings) = (random_cloud(10, 12), tilted_camera(), settings(3, ScreenFilter::Classic));
+    let (cloud, camera, settings) =
+        (random_cloud(10, 12), tilted_camera(), settings(3, ScreenFilter::Classic));
     let mut uniform = Uniform::new(13);
     let weights: Vec<f64> = (0..3 * WIDTH * HEIGHT).map(|_| uniform.between(-1.0, 1.0)).collect();
     let rendered = render(&cloud, &camera, &settings, Cutoff::Smooth);
@@ -176,17 +179,19 @@ fn planted_errors_are_detected() {
     assert!(compare("x", &[0.0], &[1e-300], TOLERANCE).is_err());
 }
 
-/// The differences can tell a subtly wrong backward from a right one: here it uses the derivative of another screen
-/// filter's compensation than the forward did.
+/// The differences can tell a subtly wrong backward from a right one: here it uses the derivative of another
+/// screen filter's compensation than the forward did.
 #[test]
 fn the_differences_see_a_wrong_gradient() {
     let (cloud, camera, settings) = (random_cloud(6, 15), tilted_camera(), settings(1, ScreenFilter::Mip));
-    let value = |cloud: &Cloud64| render(cloud, &camera, &settings, Cutoff::Smooth).picture.image.iter().sum();
+    let value =
+        |cloud: &Cloud64| render(cloud, &camera, &settings, Cutoff::Smooth).picture.image.iter().sum();
     let rendered = render(&cloud, &camera, &settings, Cutoff::Smooth);
     let ones = vec![1.0; rendered.picture.image.len()];
     let expected = differences(&cloud, value);
-    let actual =
-        |settings: &RenderSettings| backward(&cloud, &camera, settings, Cutoff::Smooth, &rendered, &ones).cloud;
+    let actual = |settings: &RenderSettings| {
+        backward(&cloud, &camera, settings, Cutoff::Smooth, &rendered, &ones).cloud
+    };
     compare_clouds(&expected, &actual(&settings), TOLERANCE).unwrap();
     let wrong = RenderSettings { filter: ScreenFilter::Antialiased, ..settings };
     compare_clouds(&expected, &actual(&wrong), TOLERANCE).unwrap_err();

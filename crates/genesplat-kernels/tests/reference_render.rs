@@ -1,4 +1,5 @@
-//! The reference's pictures: values computed by hand, the order of splats, and inputs that must not poison a pixel.
+//! The reference's pictures: values computed by hand, the order of splats, and inputs that must not poison a
+//! pixel.
 
 mod reference_support;
 
@@ -124,7 +125,8 @@ fn equal_depths_keep_the_order_of_their_rows() {
     for row in 0..64 {
         push(&mut cloud, [0.0, 0.0, if row % 2 == 0 { 3.0 } else { 2.0 }], 0.3, 0.8, GREEN);
     }
-    let rows: Vec<usize> = picture(&cloud, &RenderSettings::default()).splats.iter().map(|splat| splat.row).collect();
+    let rows: Vec<usize> =
+        picture(&cloud, &RenderSettings::default()).splats.iter().map(|splat| splat.row).collect();
     let expected: Vec<usize> = (1..64).step_by(2).chain((0..64).step_by(2)).collect();
     assert_eq!(rows, expected);
 }
@@ -136,12 +138,14 @@ fn a_pixel_ends_before_the_splat_that_would_finish_it() {
     for (z, rgb) in [(2.0, RED), (2.5, RED), (3.0, GREEN)] {
         push(&mut cloud, [0.0, 0.0, z], 0.3, 0.98, rgb);
     }
-    let rendered = picture(&cloud, &RenderSettings { background: [0.0, 0.0, 1.0], ..RenderSettings::default() });
+    let rendered =
+        picture(&cloud, &RenderSettings { background: [0.0, 0.0, 1.0], ..RenderSettings::default() });
     let [r, g, b] = pixel(&rendered, 10, 8);
     assert!(close(r, 1.0 - 0.0004) && g == 0.0 && close(b, 0.0004));
 }
 
-/// However many splats there are: transmittance stays in [1e-4, 1], and colours mix within the range of their own.
+/// However many splats there are: transmittance stays in [1e-4, 1], and colours mix within the range of their
+/// own.
 #[test]
 fn a_crowd_of_splats_stays_in_range() {
     let cloud = random_cloud(300, 23);
@@ -157,7 +161,10 @@ fn a_crowd_of_splats_stays_in_range() {
 fn alpha_is_clamped_below_one() {
     let mut cloud = one_splat(0.5);
     cloud.opacity_logits[0] = 40.0;
-    assert!(close(picture(&cloud, &RenderSettings::default()).picture.transmittance[8 * WIDTH as usize + 10], 0.01));
+    assert!(close(
+        picture(&cloud, &RenderSettings::default()).picture.transmittance[8 * WIDTH as usize + 10],
+        0.01
+    ));
 }
 
 /// Every pixel with alpha ≥ 1/255 lies in the box, none outside; and the box is no larger than it must be.
@@ -169,9 +176,12 @@ fn the_extent_is_exact() {
         for splat in render(&random_cloud(12, 21), &wide, &settings, Cutoff::Hard).splats {
             let mut reach = [0.0f64; 2];
             // Finer than the pixels: a lattice of 1/4 px.
-            for (x, y) in (0..960).flat_map(|x| (0..800).map(move |y| (0.25 * f64::from(x), 0.25 * f64::from(y)))) {
+            for (x, y) in
+                (0..960).flat_map(|x| (0..800).map(move |y| (0.25 * f64::from(x), 0.25 * f64::from(y))))
+            {
                 let [dx, dy] = [splat.mean_px[0] - x, splat.mean_px[1] - y];
-                let form = splat.conic.xx * dx * dx + 2.0 * splat.conic.xy * dx * dy + splat.conic.yy * dy * dy;
+                let form =
+                    splat.conic.xx * dx * dx + 2.0 * splat.conic.xy * dx * dy + splat.conic.yy * dy * dy;
                 if splat.opacity * (-0.5 * form).exp() >= f64::from(1.0f32 / 255.0) {
                     reach = [reach[0].max(dx.abs()), reach[1].max(dy.abs())];
                 }
@@ -205,7 +215,10 @@ fn nothing_behind_the_near_plane_is_drawn() {
         let mut cloud = one_splat(0.7);
         cloud.positions[0][2] = z;
         let rendered = picture(&cloud, &RenderSettings::default());
-        assert!(rendered.splats.is_empty() && rendered.picture.transmittance.iter().all(|t| *t == 1.0), "{z}");
+        assert!(
+            rendered.splats.is_empty() && rendered.picture.transmittance.iter().all(|t| *t == 1.0),
+            "{z}"
+        );
     }
 }
 
@@ -214,7 +227,8 @@ fn nothing_behind_the_near_plane_is_drawn() {
 fn zero_scales() {
     let mut cloud = one_splat(0.7);
     cloud.log_scales[0] = [f64::NEG_INFINITY; 3];
-    let centre = |filter| pixel(&picture(&cloud, &RenderSettings { filter, ..RenderSettings::default() }), 10, 8)[0];
+    let centre =
+        |filter| pixel(&picture(&cloud, &RenderSettings { filter, ..RenderSettings::default() }), 10, 8)[0];
     assert!(close(centre(ScreenFilter::Classic), 0.9 * 0.7));
     assert_eq!(centre(ScreenFilter::Antialiased), 0.0, "0.005 of 0.7 is below 1/255");
     assert_eq!(centre(ScreenFilter::Mip), 0.0);
@@ -222,7 +236,8 @@ fn zero_scales() {
     assert!(close(pixel(&picture(&cloud, &RenderSettings::default()), 10, 8)[0], 0.9 * 0.7));
 }
 
-/// Every parameter in turn holds a value that is not finite (or overflows): the picture is the one without that row.
+/// Every parameter in turn holds a value that is not finite (or overflows): the picture is the one without
+/// that row.
 #[test]
 fn poison_is_culled_not_spread() {
     let clean = random_cloud(6, 22);
@@ -239,7 +254,8 @@ fn poison_is_culled_not_spread() {
             let (name, values) = columns.into_iter().nth(group).expect("one of five groups");
             let stride = values.len() / 6;
             values[2 * stride] = poison;
-            let harmless = (name == "opacity" || name == "colour" || name == "rotation") && poison.is_finite()
+            let harmless = (name == "opacity" || name == "colour" || name == "rotation")
+                && poison.is_finite()
                 || name == "opacity" && poison == f64::INFINITY;
             let rendered = drawn(&cloud);
             assert!(rendered.picture.image.iter().all(|value| value.is_finite()), "{name} = {poison}");
@@ -301,8 +317,8 @@ fn any_splat() -> impl Strategy<Value = Splat> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Splat behind splat, under both rules: transmittance starts at one, never rises, is never below zero, and falls
-    /// by a fraction that is an alpha; and no colour comes from nowhere.
+    /// Splat behind splat, under both rules: transmittance starts at one, never rises, is never below zero,
+    /// and falls by a fraction that is an alpha; and no colour comes from nowhere.
     #[test]
     fn alphas_are_fractions_and_transmittance_never_rises(
         splats in prop::collection::vec(any_splat(), 0..40),

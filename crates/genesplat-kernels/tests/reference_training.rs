@@ -6,7 +6,9 @@ use genesplat_core::backend::McmcStep;
 use genesplat_core::{
     Camera, DensitySignal, LearningRates, Photo, RenderSettings, Rng, StatisticsRequest, Stream, Update,
 };
-use genesplat_kernels::reference::{Cloud64, Cutoff, Gradients, Moments64, Statistics64, adam, backward, loss, render};
+use genesplat_kernels::reference::{
+    Cloud64, Cutoff, Gradients, Moments64, Statistics64, adam, backward, loss, render,
+};
 use reference_support::*;
 
 fn planes(photo: &Photo) -> Vec<f64> {
@@ -24,7 +26,8 @@ fn identical_images_cost_nothing() {
     assert!((ssim - 1.0).abs() < 1e-12);
 }
 
-/// One pixel: the window's other taps see zeros, so the moments are w0² times the values, w0² the centre tap's weight.
+/// One pixel: the window's other taps see zeros, so the moments are w0² times the values, w0² the centre
+/// tap's weight.
 #[test]
 fn the_loss_of_one_pixel_by_hand() {
     let photo = Photo { width: 1, height: 1, rgb: vec![102; 3] };
@@ -40,8 +43,8 @@ fn the_loss_of_one_pixel_by_hand() {
     assert!((value - (0.8 * 0.5 + 0.2 * (1.0 - ssim))).abs() < 1e-7, "{value}");
 }
 
-/// Ten pixels from every border, two constant images differ in luminance only: a pixel's gradient is the slope of the
-/// luminance term, whose share in its neighbours' windows adds up to one.
+/// Ten pixels from every border, two constant images differ in luminance only: a pixel's gradient is the
+/// slope of the luminance term, whose share in its neighbours' windows adds up to one.
 #[test]
 fn ssim_of_constant_images_in_the_interior() {
     let (side, at) = (41usize, 20 * 41 + 20);
@@ -76,12 +79,13 @@ fn gradients_of(cloud: &Cloud64, image_gradient: f64) -> Gradients {
     backward(cloud, &camera, &settings, Cutoff::Hard, &rendered, &by_image)
 }
 
-/// Both visible splats are 1 px wide on the screen (20 · 0.1 / 2 = 20 · 0.2 / 4), variance 1.3 px². They touch the
-/// lattice points within r² = 2 · 1.3 · ln(0.9 · 255) = 14.14, i.e. r = 3.76: 45 of them.
+/// Both visible splats are 1 px wide on the screen (20 · 0.1 / 2 = 20 · 0.2 / 4), variance 1.3 px². They
+/// touch the lattice points within r² = 2 · 1.3 · ln(0.9 · 255) = 14.14, i.e. r = 3.76: 45 of them.
 #[test]
 fn pixel_counts_by_hand() {
     let gradients = gradients_of(&three_splats(), 0.01);
-    let lattice = (-4..=4i32).flat_map(|x| (-4..=4i32).map(move |y| x * x + y * y)).filter(|r2| *r2 <= 14).count();
+    let lattice =
+        (-4..=4i32).flat_map(|x| (-4..=4i32).map(move |y| x * x + y * y)).filter(|r2| *r2 <= 14).count();
     assert_eq!(lattice, 45);
     assert_eq!(gradients.pixels, [45, 45, 0]);
     assert_eq!(gradients.depth[..2], [2.0, 4.0]);
@@ -96,7 +100,8 @@ fn hidden_pixels_do_not_count() {
     for z in [2.0, 2.1, 2.2] {
         push(&mut cloud, [0.0, 0.0, z], 0.05 * z, 0.98, [0.5; 3]);
     }
-    // All three 1 px wide: 0.02³ < 1e-4 at the centre. One pixel off, alpha is 0.98 exp(-1/2.6) = 0.667 each, and
+    // All three 1 px wide: 0.02³ < 1e-4 at the centre. One pixel off, alpha is 0.98 exp(-1/2.6) = 0.667 each,
+    // and
     // 0.333³ > 1e-4: only the centre is lost.
     let counts = gradients_of(&cloud, 0.01).pixels;
     assert_eq!(counts[0], counts[1]);
@@ -163,7 +168,8 @@ fn update(step: u32, opacity_step: u32) -> Update {
     Update { rates: RATES, step, opacity_step, mcmc: None }
 }
 
-/// A first step has m̂ = g and v̂ = g²: every parameter moves by its own rate against its gradient, however small.
+/// A first step has m̂ = g and v̂ = g²: every parameter moves by its own rate against its gradient, however
+/// small.
 #[test]
 fn the_first_step_is_the_learning_rate() {
     let mut cloud = Cloud64::zeros(2);
@@ -174,7 +180,11 @@ fn the_first_step_is_the_learning_rate() {
     // ε = 1e-15 is a millionth of the gradient; the rates are f32.
     let close = |actual: f64, expected: f64| (actual - expected).abs() < 2e-6;
     assert!((0..3).all(|axis| close(cloud.positions[0][axis], 0.1)));
-    assert!(close(cloud.positions[1][0], -0.1) && cloud.positions[1][1] == 0.0 && close(cloud.positions[1][2], 0.1));
+    assert!(
+        close(cloud.positions[1][0], -0.1)
+            && cloud.positions[1][1] == 0.0
+            && close(cloud.positions[1][2], 0.1)
+    );
     assert!(close(cloud.opacity_logits[1], 0.4) && close(cloud.log_scales[0][2], 0.5));
     assert!(close(cloud.rotations[1][3], 0.6));
     for (index, value) in cloud.sh[1].iter().enumerate() {
@@ -210,7 +220,8 @@ fn the_opacity_group_can_sit_a_step_out() {
     assert!(cloud.log_scales[0][0] < 0.0);
 }
 
-/// MCMC on a cloud whose gradients are zero: the regularisers alone drive Adam, and the noise moves faint rows only.
+/// MCMC on a cloud whose gradients are zero: the regularisers alone drive Adam, and the noise moves faint
+/// rows only.
 #[test]
 fn mcmc_regularises_and_moves_means_at_random() {
     let mut cloud = Cloud64::default();
@@ -218,9 +229,13 @@ fn mcmc_regularises_and_moves_means_at_random() {
     push(&mut cloud, [0.0; 3], 0.5, 0.9, [0.5; 3]);
     let before = cloud.clone();
     let mut moments = Moments64::zeros(2);
-    let mcmc = McmcStep { noise_scale: 0.1, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(3), counter: 7 };
-    let update =
-        Update { rates: LearningRates { scale: 0.0, opacity: 0.0, ..RATES }, mcmc: Some(mcmc), ..update(1, 1) };
+    let mcmc =
+        McmcStep { noise_scale: 0.1, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(3), counter: 7 };
+    let update = Update {
+        rates: LearningRates { scale: 0.0, opacity: 0.0, ..RATES },
+        mcmc: Some(mcmc),
+        ..update(1, 1)
+    };
     adam(&mut cloud, &mut moments, &Cloud64::zeros(2), &update);
     // First moments are a tenth of the gradient.
     assert!((moments.first.opacity_logits[1] - 0.1 * 0.01 / 2.0 * 0.9 * 0.1).abs() < 1e-9);
@@ -243,14 +258,21 @@ fn training_lowers_the_loss() {
     let target = render(&three_splats(), &camera, &settings, Cutoff::Hard).picture.image;
     let pixels = (WIDTH * HEIGHT) as usize;
     let rgb = (0..pixels).flat_map(|p| (0..3).map(move |c| c * pixels + p));
-    let photo = Photo { width: WIDTH, height: HEIGHT, rgb: rgb.map(|i| (target[i] * 255.0 + 0.5) as u8).collect() };
+    let photo =
+        Photo { width: WIDTH, height: HEIGHT, rgb: rgb.map(|i| (target[i] * 255.0 + 0.5) as u8).collect() };
 
     let mut cloud = Cloud64::default();
     push(&mut cloud, [0.15, -0.1, 2.5], 0.2, 0.5, [0.5; 3]);
     push(&mut cloud, [-0.2, 0.1, 3.0], 0.2, 0.5, [0.5; 3]);
     let mut moments = Moments64::zeros(2);
-    let rates =
-        LearningRates { position: 0.01, sh_dc: 0.05, sh_rest: 0.002, opacity: 0.05, scale: 0.02, rotation: 0.01 };
+    let rates = LearningRates {
+        position: 0.01,
+        sh_dc: 0.05,
+        sh_rest: 0.002,
+        opacity: 0.05,
+        scale: 0.02,
+        rotation: 0.01,
+    };
     let mut losses = Vec::new();
     for step in 1..=100 {
         let rendered = render(&cloud, &camera, &settings, Cutoff::Hard);

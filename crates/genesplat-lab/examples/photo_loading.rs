@@ -1,8 +1,10 @@
 #![allow(clippy::print_stdout, reason = "an example prints what it measures")]
-//! What loading photos costs with a lens, without one, and from files that are undistorted and reduced already.
+//! What loading photos costs with a lens, without one, and from files that are undistorted and reduced
+//! already.
 //!
-//! `cargo run --release --example photo_loading -- SCENE K` takes ten photos of a scene with a `transforms.json`, enlarges
-//! them K times as JPEGs, and prints the CPU time of one photo (of Linux) at several sizes.
+//! `cargo run --release --example photo_loading -- SCENE K` takes ten photos of a scene with a
+//! `transforms.json`, enlarges them K times as JPEGs, and prints the CPU time of one photo (of Linux) at
+//! several sizes.
 
 use std::fs;
 use std::path::Path;
@@ -65,8 +67,10 @@ fn print_row(side: u32, bent: &Path, straight: &Path, place: &Path) -> Result<()
         fs::write(file(number, "raw"), &photo.rgb)?;
     }
     let numbers = || 0..views.len();
-    let (png, _) = timed(|| numbers().map(|number| Ok(read_photo(&file(number, "png"))?)).collect::<Result<Vec<_>>>())?;
-    let (raw, _) = timed(|| numbers().map(|number| Ok(fs::read(file(number, "raw"))?)).collect::<Result<Vec<_>>>())?;
+    let (png, _) =
+        timed(|| numbers().map(|number| Ok(read_photo(&file(number, "png"))?)).collect::<Result<Vec<_>>>())?;
+    let (raw, _) =
+        timed(|| numbers().map(|number| Ok(fs::read(file(number, "raw"))?)).collect::<Result<Vec<_>>>())?;
     println!("| {side} | {with:.0} ms | {without:.0} ms | {png:.1} ms | {raw:.1} ms |");
     Ok(())
 }
@@ -79,7 +83,8 @@ fn timed<T>(make: impl FnOnce() -> Result<T>) -> Result<(f64, T)> {
 }
 
 fn cpu_ms() -> Result<f64> {
-    let file = fs::read_to_string("/proc/thread-self/schedstat").context("CPU time is known on Linux only")?;
+    let file =
+        fs::read_to_string("/proc/thread-self/schedstat").context("CPU time is known on Linux only")?;
     let nanoseconds: f64 = file.split(' ').next().unwrap_or_default().parse()?;
     Ok(nanoseconds / 1e6)
 }

@@ -1,8 +1,10 @@
-//! A scene whose photos show little each, from one whose photos show all of it: every photo is cut into upright strips.
+//! A scene whose photos show little each, from one whose photos show all of it: every photo is cut into
+//! upright strips.
 //!
-//! `cargo run --release --example photo_strips -- SCENE OUT [STRIPS [MAX_SIDE]]` reduces the photos of a scene to a longer side of
-//! MAX_SIDE pixels (240), cuts each into STRIPS (3), and writes them as a COLMAP scene with the same points. `tools/blocks.sh` is meant
-//! for it: blocks of a scene whose photos show all of it are all alike.
+//! `cargo run --release --example photo_strips -- SCENE OUT [STRIPS [MAX_SIDE]]` reduces the photos of a
+//! scene to a longer side of MAX_SIDE pixels (240), cuts each into STRIPS (3), and writes them as a COLMAP
+//! scene with the same points. `tools/blocks.sh` is meant for it: blocks of a scene whose photos show all of
+//! it are all alike.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -14,7 +16,8 @@ use genesplat::io::{HoldOut, LoadOptions, PhotoSize, load_scene};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut words = std::env::args().skip(1);
-    let [scene, out] = [words.next(), words.next()].map(|word| word.map(PathBuf::from).ok_or("SCENE OUT are needed"));
+    let [scene, out] =
+        [words.next(), words.next()].map(|word| word.map(PathBuf::from).ok_or("SCENE OUT are needed"));
     let (scene, out) = (scene?, out?);
     let strips = words.next().map_or(Ok(3), |word| word.parse())?;
     let size = PhotoSize::MaxSide(words.next().map_or(Ok(240), |word| word.parse())?);
@@ -43,6 +46,11 @@ fn add(model: &mut Model, view: &View, [nth, count]: [u32; 2], out: &Path) -> Re
     let principal_px = [cx - f64::from(left), cy];
     model.cameras.insert(id, Intrinsics { width: right - left, height, focal_px, principal_px, lens: None });
     let (q, t) = (view.camera.camera_from_world_rotation, view.camera.camera_from_world_translation);
-    model.images.push(ImageRecord { name, camera: id, rotation: [q.w, q.x, q.y, q.z], translation: t.to_array() });
+    model.images.push(ImageRecord {
+        name,
+        camera: id,
+        rotation: [q.w, q.x, q.y, q.z],
+        translation: t.to_array(),
+    });
     Ok(())
 }

@@ -1,10 +1,13 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints what it measures")]
-//! The same scene in other units should give the same splat: trains it at several scales, and prints the scores.
+//! The same scene in other units should give the same splat: trains it at several scales, and prints the
+//! scores.
 //!
-//! `cargo build --release && cargo run --release -p genesplat-lab --example scale_check SCENE FACTORS [OPTIONS OF TRAIN]`
+//! `cargo build --release && cargo run --release -p genesplat-lab --example scale_check SCENE FACTORS
+//! [OPTIONS OF TRAIN]`
 //!
-//! SCENE is a COLMAP folder, or `gallery` for a small one that is made; FACTORS are separated by commas. A seed has its own
-//! run, and the spread of seeds at one scale says what a difference of scales may be by chance.
+//! SCENE is a COLMAP folder, or `gallery` for a small one that is made; FACTORS are separated by commas. A
+//! seed has its own run, and the spread of seeds at one scale says what a difference of scales may be by
+//! chance.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,12 +25,14 @@ fn main() {
         process::exit(2);
     };
     let place = tempfile::tempdir().expect("a folder for scenes and runs");
-    let scene = if scene == "gallery" { write_gallery(&place.path().join("gallery")) } else { PathBuf::from(scene) };
+    let scene =
+        if scene == "gallery" { write_gallery(&place.path().join("gallery")) } else { PathBuf::from(scene) };
     println!("| factor | PSNR of seeds {}, dB | mean |\n|---|---|---|", SEEDS.join(", "));
     for factor in factors.split(',') {
         let scaled = place.path().join(factor);
         write_scaled(&scene, &scaled, factor.parse().expect("a factor is a number"));
-        let scores = SEEDS.map(|seed| train(&scaled, &place.path().join(format!("{factor}-{seed}")), seed, options));
+        let scores =
+            SEEDS.map(|seed| train(&scaled, &place.path().join(format!("{factor}-{seed}")), seed, options));
         let mean = scores.iter().sum::<f64>() / SEEDS.len() as f64;
         println!("| {factor} | {} | {mean:.2} |", scores.map(|psnr| format!("{psnr:.2}")).join(", "));
     }
@@ -64,7 +69,8 @@ fn train(scene: &Path, out: &Path, seed: &str, options: &[String]) -> f64 {
     let mut command = Command::new(&program);
     command.arg("train").arg(scene).arg("--out").arg(out).args(["--seed", seed, "--no-lpips", "--quiet"]);
     let ran = command.args(["--device", "cpu"]).args(options).output();
-    let ran = ran.unwrap_or_else(|error| panic!("{}: {error}; cargo build --release first", program.display()));
+    let ran =
+        ran.unwrap_or_else(|error| panic!("{}: {error}; cargo build --release first", program.display()));
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
     let metrics = fs::read(out.join("metrics.json")).expect("figures");
     let metrics: serde_json::Value = serde_json::from_slice(&metrics).expect("figures are JSON");

@@ -1,9 +1,12 @@
 #![allow(clippy::print_stdout, reason = "an example prints what it measures")]
-//! What a page that looks all the time costs training: pairs of runs, without and with one, and the ratio of their times.
+//! What a page that looks all the time costs training: pairs of runs, without and with one, and the ratio of
+//! their times.
 //!
-//! `cargo build --release && cargo run --release -p genesplat-lab --example watched_training [SCENE [ITERATIONS [PAIRS]]]`
+//! `cargo build --release && cargo run --release -p genesplat-lab --example watched_training [SCENE
+//! [ITERATIONS [PAIRS]]]`
 //!
-//! Without a scene it is a gallery of 480x320 pixels. Both runs of a pair do the same steps; which is first alternates.
+//! Without a scene it is a gallery of 480x320 pixels. Both runs of a pair do the same steps; which is first
+//! alternates.
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
@@ -47,7 +50,11 @@ fn main() {
         ratios.push(ratio);
     }
     ratios.sort_by(f64::total_cmp);
-    println!("median ratio {:.4} of {} pairs, {iterations} iterations", ratios[ratios.len() / 2], ratios.len());
+    println!(
+        "median ratio {:.4} of {} pairs, {iterations} iterations",
+        ratios[ratios.len() / 2],
+        ratios.len()
+    );
 }
 
 fn write_gallery(folder: &Path) -> PathBuf {
@@ -66,7 +73,12 @@ fn train(scene: &Path, out: &Path, iterations: &str, is_watched: bool) -> Measur
     let examples = std::env::current_exe().expect("this program has a path");
     let program = examples.ancestors().nth(2).expect("it is in target/release/examples").join("genesplat");
     let mut command = Command::new(&program);
-    command.arg("train").arg(scene).arg("--out").arg(out).args(["--iterations", iterations, "--no-lpips", "--quiet"]);
+    command.arg("train").arg(scene).arg("--out").arg(out).args([
+        "--iterations",
+        iterations,
+        "--no-lpips",
+        "--quiet",
+    ]);
     command.args(is_watched.then_some("--view")).args(["--device", "cpu"]);
     let started = command.stdout(Stdio::piped()).spawn();
     let mut child =
@@ -83,7 +95,8 @@ fn train(scene: &Path, out: &Path, iterations: &str, is_watched: bool) -> Measur
 /// Asks for a picture whenever one has come, until the page is closed; returns how many there were.
 fn watch(child: &mut Child) -> JoinHandle<u32> {
     let mut lines = BufReader::new(child.stdout.take().expect("it is piped")).lines().map_while(Result::ok);
-    let url = lines.find_map(|line| Some(line.strip_prefix("view   ")?.to_owned())).expect("the page's address");
+    let url =
+        lines.find_map(|line| Some(line.strip_prefix("view   ")?.to_owned())).expect("the page's address");
     // What it prints later must not fill the pipe.
     thread::spawn(move || lines.for_each(drop));
     thread::spawn(move || {

@@ -23,7 +23,8 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Repeat a comparison over scenes, methods and seeds, and make its tables; can be interrupted and goes on
+    /// Repeat a comparison over scenes, methods and seeds, and make its tables; can be interrupted and goes
+    /// on
     Experiment(ExperimentArgs),
     /// Measure how fast this machine trains
     Bench {
@@ -31,19 +32,19 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Bench,
     },
-    /// Write the tables of the documents from the figures in lab/results, and docs/settings.md from the comments of the
-    /// settings
+    /// Write the tables of the documents from the figures in lab/results, and docs/settings.md from the
+    /// comments of the settings
     Tables(TablesArgs),
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct ExperimentArgs {
-    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper, study-mcmc,
-    /// study-improved, ablation-paper, ablation-genesplat, or a TOML file of one's own
+    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper,
+    /// study-mcmc, study-improved, ablation-paper, ablation-genesplat, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub(crate) what: String,
-    /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
-    /// unfinished in it
+    /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with
+    /// what is unfinished in it
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Folder that holds the folders of the scenes [default: none; the bundled gallery needs none]
@@ -52,8 +53,8 @@ pub(crate) struct ExperimentArgs {
     /// Print the runs with their numbers, a line each, and run nothing
     #[arg(long, conflicts_with = "cell")]
     pub(crate) list: bool,
-    /// Make run N of --list only, and no tables: for job arrays, any number at once in one folder. The same command
-    /// without it makes the tables
+    /// Make run N of --list only, and no tables: for job arrays, any number at once in one folder. The same
+    /// command without it makes the tables
     #[arg(long, value_name = "N")]
     pub(crate) cell: Option<usize>,
     /// Training steps of every run [default: as the experiment says]
@@ -75,8 +76,8 @@ pub(crate) struct TablesArgs {
     /// Change nothing; fail where a document disagrees
     #[arg(long)]
     pub(crate) check: bool,
-    /// First put the finished runs of an experiment's folder into a CSV file: the one of the experiment's own name in
-    /// lab/results, else ablations.csv where that name begins with ablation, else real-size.csv
+    /// First put the finished runs of an experiment's folder into a CSV file: the one of the experiment's own
+    /// name in lab/results, else ablations.csv where that name begins with ablation, else real-size.csv
     #[arg(long, num_args = 4, value_names = ["DIR", "EXPERIMENT", "COMMIT", "MACHINE"], conflicts_with = "check")]
     pub(crate) add: Vec<String>,
     /// The same without their seconds, since the machine had other work
@@ -87,23 +88,25 @@ pub(crate) struct TablesArgs {
 /// What can be measured.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bench {
-    /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
+    /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending
+    /// could reach
     Step(BenchStepArgs),
     /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
     Genetic(BenchGeneticArgs),
-    /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of
-    /// Gaussians
+    /// Time training steps by stage and the scoring of a population on the graphics device, at several
+    /// numbers of Gaussians
     Gpu(BenchGpuArgs),
 }
 
 /// Where the cameras, the photos and the Gaussians to measure with come from.
 #[derive(Debug, Args)]
 pub(crate) struct SourceArgs {
-    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
+    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one
+    /// camera]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
-    /// A trained splat of that scene (a file), or the folder of a run, instead of Gaussians made from its points
-    /// [default: none]
+    /// A trained splat of that scene (a file), or the folder of a run, instead of Gaussians made from its
+    /// points [default: none]
     #[arg(long, value_name = "SPLAT|RUN", requires = "data")]
     pub(crate) splat: Option<PathBuf>,
     #[command(flatten)]
@@ -115,8 +118,8 @@ pub(crate) struct SourceArgs {
 pub(crate) struct WorkloadArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data, before a camera
-    /// of 268x478]
+    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data,
+    /// before a camera of 268x478]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..), conflicts_with = "splat")]
     pub(crate) gaussians: Option<u32>,
 }
@@ -154,7 +157,8 @@ pub(crate) struct BenchGeneticArgs {
 pub(crate) struct BenchGpuArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// Numbers of Gaussians, separated by commas; those that the device has not enough memory for are left out
+    /// Numbers of Gaussians, separated by commas; those that the device has not enough memory for are left
+    /// out
     #[arg(
         long,
         value_name = "N,..",

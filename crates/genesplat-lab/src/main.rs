@@ -1,4 +1,5 @@
-//! The laboratory: what the project measures itself with. A program of its own, which `cargo install` does not install.
+//! The laboratory: what the project measures itself with. A program of its own, which `cargo install` does
+//! not install.
 //!
 //! Exit status: as of `genesplat`.
 

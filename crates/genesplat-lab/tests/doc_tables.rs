@@ -22,7 +22,8 @@ fn updated(document: &str, csv: &str) -> anyhow::Result<String> {
 }
 
 const DOCUMENT: &str = "before\n<!-- table: results -->\nold\n<!-- /table -->\nafter\n";
-const CSV: &str = "scene,max_side,iterations,seed,arm,psnr,gaussians,gradient_seconds,evolution_seconds,command
+const CSV: &str =
+    "scene,max_side,iterations,seed,arm,psnr,gaussians,gradient_seconds,evolution_seconds,command
 fox,480,7000,0,off,30.0,1234567,100,0,genesplat train fox
 fox,480,7000,1,off,31.0,1234569,110,0,genesplat train fox
 fox,480,7000,0,renew,30.5,900,100,20,genesplat train fox, twice
@@ -59,13 +60,18 @@ fn every_setting_stands_in_the_document_as_the_code_explains_it() {
         assert!(page.contains(name), "{name}");
     }
     // A default where a setting is the method's own, and nothing where it is not.
-    let line = |setting: &str| page.lines().find(|line| line.starts_with(&format!("| `{setting}` |"))).unwrap();
+    let line =
+        |setting: &str| page.lines().find(|line| line.starts_with(&format!("| `{setting}` |"))).unwrap();
     assert!(
         line("position_rate_start")
             .starts_with("| `position_rate_start` | 4e-5 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 4e-5 | Rate")
     );
     assert!(line("opacity_rate").starts_with("| `opacity_rate` | 0.025 | 0.05 | 0.05 |"));
-    assert!(line("noise").starts_with("| `noise` |  |  |  |  | 500000 |  | Exploration noise"), "{}", line("noise"));
+    assert!(
+        line("noise").starts_with("| `noise` |  |  |  |  | 500000 |  | Exploration noise"),
+        "{}",
+        line("noise")
+    );
     assert!(line("averaging").starts_with("| `averaging` | true | false |"));
     let is_setting = |line: &&str| line.starts_with("- **`") || line.starts_with("| `");
     let (of_methods, machine) = (["name"].len(), ["device", "threads"].len());
@@ -83,7 +89,8 @@ fn no_result_is_typed_into_a_table() {
     }
 }
 
-/// Lines of tables that stand between no markers though a PSNR is in them: typed, and no run can be looked up.
+/// Lines of tables that stand between no markers though a PSNR is in them: typed, and no run can be looked
+/// up.
 fn typed_lines(text: &str) -> Vec<&str> {
     let mut is_generated = false;
     let mut typed = Vec::new();
@@ -99,7 +106,9 @@ fn typed_lines(text: &str) -> Vec<&str> {
 /// Two digits, a point, two digits: a PSNR or what looks like one.
 fn has_psnr(line: &str) -> bool {
     let numbers = line.split(|c: char| !c.is_ascii_digit() && c != '.');
-    numbers.filter_map(|number| number.split_once('.')).any(|(whole, part)| whole.len() == 2 && part.len() == 2)
+    numbers
+        .filter_map(|number| number.split_once('.'))
+        .any(|(whole, part)| whole.len() == 2 && part.len() == 2)
 }
 
 #[test]
@@ -119,8 +128,12 @@ growth,fox; seed 1,strong; slow,31.10,0.9400,43000,genesplat train fox
 | fox, seed 1 |  | **31.10**, 0.9400, 43,000 |
 ";
     assert!(table.contains(expected), "{table}");
-    fs::write(folder.path().join("single-runs.csv"), format!("{csv}growth,fox; seed 0,off,1.0,,,again\n")).unwrap();
-    assert!(tables::update(&DOCUMENT.replace("results", "growth"), folder.path()).is_err(), "which of the two counts?");
+    fs::write(folder.path().join("single-runs.csv"), format!("{csv}growth,fox; seed 0,off,1.0,,,again\n"))
+        .unwrap();
+    assert!(
+        tables::update(&DOCUMENT.replace("results", "growth"), folder.path()).is_err(),
+        "which of the two counts?"
+    );
 }
 
 #[test]
@@ -177,13 +190,17 @@ fn scenes_of_different_sizes_say_so() {
 #[test]
 fn of_each_seed_the_best_plain_run_counts() {
     let table = updated(DOCUMENT, &format!("{CSV}{}", STRONG.replace("30.1,", "30.4,"))).unwrap();
-    assert!(table.contains("| 30.80 | 30.80 | +0.00 ± 0.14 |"), "`strong` of one, averages of the other: {table}");
+    assert!(
+        table.contains("| 30.80 | 30.80 | +0.00 ± 0.14 |"),
+        "`strong` of one, averages of the other: {table}"
+    );
 }
 
 #[test]
 fn another_method_stands_beside_it() {
     let header = CSV.lines().next().unwrap();
-    let of_3dgs = |line: &str| if line == header { format!("variant,{line}") } else { format!("3dgs,{line}") };
+    let of_3dgs =
+        |line: &str| if line == header { format!("variant,{line}") } else { format!("3dgs,{line}") };
     let mut csv: Vec<String> = CSV.lines().map(of_3dgs).collect();
     for (seed, psnr) in [(0, 31.0), (1, 32.0)] {
         csv.push(format!("improved-gs,fox,480,7000,{seed},improved-gs,{psnr},900,150,0,genesplat train fox"));
@@ -197,9 +214,12 @@ fn another_method_stands_beside_it() {
 
 #[test]
 fn runs_shorter_than_people_train_have_a_table_of_their_own() {
-    let csv =
-        format!("{CSV}{}", CSV.lines().skip(1).map(|line| line.replace("7000", "3000") + "\n").collect::<String>());
-    let [long, short] = ["results", "short"].map(|table| updated(&DOCUMENT.replace("results", table), &csv).unwrap());
+    let csv = format!(
+        "{CSV}{}",
+        CSV.lines().skip(1).map(|line| line.replace("7000", "3000") + "\n").collect::<String>()
+    );
+    let [long, short] =
+        ["results", "short"].map(|table| updated(&DOCUMENT.replace("results", table), &csv).unwrap());
     assert!(long.contains("7,000 iterations") && !long.contains("3,000 iterations"), "{long}");
     assert!(short.contains("3,000 iterations") && !short.contains("7,000 iterations"), "{short}");
 }
@@ -210,8 +230,11 @@ fn runs_of_an_experiment_become_lines() {
     for (arm, psnr) in [("off", 30.0), ("genesplat", 30.5)] {
         let run = folder.path().join("cells/fox/3dgs").join(arm).join("seed-7");
         fs::create_dir_all(&run).unwrap();
-        fs::write(run.join("config.toml"), "iterations = 7000\nsteps_scale = 1.0\n[dataset]\nmax_side = 480\n")
-            .unwrap();
+        fs::write(
+            run.join("config.toml"),
+            "iterations = 7000\nsteps_scale = 1.0\n[dataset]\nmax_side = 480\n",
+        )
+        .unwrap();
         let metrics = serde_json::json!({
             "method": "3dgs", "genetic": false, "seed": 7, "iterations": 7000, "gaussians": 900,
             "test": {"psnr": psnr, "ssim": 0.9, "lpips": null}, "train": {"psnr": 31.0}, "seconds": {"gradient": 10.0, "evolution": 0.5},
@@ -220,15 +243,20 @@ fn runs_of_an_experiment_become_lines() {
     }
     let stopped = folder.path().join("cells/fox/3dgs/strong/seed-7");
     fs::create_dir_all(&stopped).unwrap();
-    fs::write(stopped.join("config.toml"), "iterations = 7001\nsteps_scale = 1.0\n[dataset]\nmax_side = 480\n")
-        .unwrap();
+    fs::write(
+        stopped.join("config.toml"),
+        "iterations = 7001\nsteps_scale = 1.0\n[dataset]\nmax_side = 480\n",
+    )
+    .unwrap();
     fs::copy(stopped.join("../../off/seed-7/metrics.json"), stopped.join("metrics.json")).unwrap();
     let made = |is_idle| add::Made { experiment: "study", commit: "abc", machine: "A", is_idle };
     let header = "scene,variant,max_side,iterations,seed,arm,psnr,ssim,lpips,train_psnr,gaussians,gradient_seconds,\
                   evolution_seconds,commit,machine,command\n";
     let timed = add::add(header, folder.path(), &made(true)).unwrap();
     assert!(
-        timed.contains("\nfox,3dgs,480,7000,7,off,30.0000,0.90000,,31.0000,900,10.0,0.5,abc,A,experiment study"),
+        timed.contains(
+            "\nfox,3dgs,480,7000,7,off,30.0000,0.90000,,31.0000,900,10.0,0.5,abc,A,experiment study"
+        ),
         "{timed}"
     );
     assert_eq!(timed.lines().count(), 3);
@@ -239,10 +267,15 @@ fn runs_of_an_experiment_become_lines() {
     let runs: Vec<_> = others.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect();
     let order: Vec<_> = runs.iter().map(|run| [run[5], run[13]]).collect();
     // In a file of before methods, ours is what it was called then.
-    assert_eq!(order, [["renew", "abc"], ["renew", "def"], ["off", "abc"], ["off", "def"]], "arms stay together");
+    assert_eq!(
+        order,
+        [["renew", "abc"], ["renew", "def"], ["off", "abc"], ["off", "def"]],
+        "arms stay together"
+    );
     let new = add::add(&header.replace("variant", "method"), folder.path(), &made(true)).unwrap();
     assert!(new.contains("\nfox,3dgs,480,7000,7,genesplat,30.5000,"), "{new}");
-    let without = |column: &str| add::add(&header.replace(column, "wishes"), folder.path(), &made(true)).unwrap_err();
+    let without =
+        |column: &str| add::add(&header.replace(column, "wishes"), folder.path(), &made(true)).unwrap_err();
     assert!(without("machine").to_string().contains("has not all of"));
     assert!(without("variant").to_string().contains("no column `method`"));
     assert!(format!("{:#}", without("lpips")).contains("no run has a column `wishes`"));
@@ -265,26 +298,33 @@ fn what_cannot_be_shown_is_an_error() {
         let error = format!("{:#}", updated(DOCUMENT, csv).unwrap_err());
         assert!(error.contains(problem), "{error}");
     }
-    for (document, problem) in
-        [("<!-- table: wishes -->\n<!-- /table -->", "wishes"), ("<!-- table: results -->\n", "has no <!-- /table -->")]
-    {
+    for (document, problem) in [
+        ("<!-- table: wishes -->\n<!-- /table -->", "wishes"),
+        ("<!-- table: results -->\n", "has no <!-- /table -->"),
+    ] {
         let error = format!("{:#}", updated(document, CSV).unwrap_err());
         assert!(error.contains(problem), "{error}");
     }
 }
 
-/// Improved-GS has one of the two seeds, so that seed alone counts; MCMC has one run, and fox has seconds of its own.
+/// Improved-GS has one of the two seeds, so that seed alone counts; MCMC has one run, and fox has seconds of
+/// its own.
 #[test]
 fn methods_stand_beside_each_other_with_the_minutes_that_were_measured() {
     let header = CSV.lines().next().unwrap();
-    let of_3dgs = |line: &str| if line == header { format!("variant,{line}") } else { format!("3dgs,{line}") };
+    let of_3dgs =
+        |line: &str| if line == header { format!("variant,{line}") } else { format!("3dgs,{line}") };
     let mut csv: Vec<String> = CSV.lines().map(of_3dgs).collect();
     csv.push("improved-gs,fox,480,7000,1,improved-gs,30.9,900,150,0,genesplat train fox".to_owned());
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     write("real-size.csv", &csv.join("\n"));
-    write("single-runs.csv", "study,line,arm,psnr,gaussians\nmcmc,fox,MCMC,30.20,800\nmcmc,fern,MCMC,1.0,1\n");
-    let seconds = "scene,arm,device,gradient_seconds,evolution_seconds\nfox,renew,gpu,9,3\nfern,off,cpu,600,0\n";
+    write(
+        "single-runs.csv",
+        "study,line,arm,psnr,gaussians\nmcmc,fox,MCMC,30.20,800\nmcmc,fern,MCMC,1.0,1\n",
+    );
+    let seconds =
+        "scene,arm,device,gradient_seconds,evolution_seconds\nfox,renew,gpu,9,3\nfern,off,cpu,600,0\n";
     write("seconds.csv", seconds);
     let table = tables::update(&DOCUMENT.replace("results", "methods"), folder.path()).unwrap();
     let expected = "
@@ -299,7 +339,8 @@ fn methods_stand_beside_each_other_with_the_minutes_that_were_measured() {
 #[test]
 fn the_search_stands_beside_as_many_seconds_of_gradient_steps() {
     let runs = |scene: &str, gain: f64| -> String {
-        let line = |arm: &str, psnr: f64| format!("{scene},160,3000,0,{arm},{psnr},900,9,0,genesplat experiment\n");
+        let line =
+            |arm: &str, psnr: f64| format!("{scene},160,3000,0,{arm},{psnr},900,9,0,genesplat experiment\n");
         line("off", 30.0) + &line("paper", 30.0 + gain) + &line("control", 31.0)
     };
     let folder = tempfile::tempdir().unwrap();
@@ -313,11 +354,11 @@ fn the_search_stands_beside_as_many_seconds_of_gradient_steps() {
 
 #[test]
 fn long_runs_have_a_column_for_each_method() {
-    let csv =
-        "study,line,arm,psnr\nlong,fox,off,32.08\nlong,fox,renew,33.47\nlong,fox,renew without virtual views,33.3\n";
+    let csv = "study,line,arm,psnr\nlong,fox,off,32.08\nlong,fox,renew,33.47\nlong,fox,renew without virtual views,33.3\n";
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("single-runs.csv"), csv).unwrap();
     let table = tables::update(&DOCUMENT.replace("results", "long-runs"), folder.path()).unwrap();
-    let expected = "| 480 px, 30,000 iterations: PSNR, dB | 3DGS | ours |\n|---|---|---|\n| fox | 32.08 | 33.47 |\n";
+    let expected =
+        "| 480 px, 30,000 iterations: PSNR, dB | 3DGS | ours |\n|---|---|---|\n| fox | 32.08 | 33.47 |\n";
     assert!(table.contains(expected), "{table}");
 }

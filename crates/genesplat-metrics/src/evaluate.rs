@@ -61,15 +61,26 @@ fn null_as_nan<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Err
 
 /// Scores of one picture against the truth, without LPIPS.
 pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, SizeMismatch> {
-    Ok(ViewScore { name: name.to_owned(), psnr: psnr(picture, truth)?, ssim: ssim(picture, truth)?, lpips: None })
+    Ok(ViewScore {
+        name: name.to_owned(),
+        psnr: psnr(picture, truth)?,
+        ssim: ssim(picture, truth)?,
+        lpips: None,
+    })
 }
 
-/// Scores of what a device has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees both pictures
-/// black elsewhere.
-fn score_view(view: &View, picture: &Photo, photo: &Photo, lpips: Option<&Lpips>) -> Result<ViewScore, SizeMismatch> {
+/// Scores of what a device has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees
+/// both pictures black elsewhere.
+fn score_view(
+    view: &View,
+    picture: &Photo,
+    photo: &Photo,
+    lpips: Option<&Lpips>,
+) -> Result<ViewScore, SizeMismatch> {
     let mask = view.mask.as_deref();
-    let distance =
-        |lpips: &Lpips| lpips.distance(&view.hide_in(picture), &view.hide_in(photo), InputRange::ZeroToOne).ok();
+    let distance = |lpips: &Lpips| {
+        lpips.distance(&view.hide_in(picture), &view.hide_in(photo), InputRange::ZeroToOne).ok()
+    };
     Ok(ViewScore {
         name: view.name.clone(),
         psnr: psnr_under(mask, picture, photo)?,
@@ -126,10 +137,12 @@ mod tests {
     #[test]
     fn lpips_does_not_see_what_a_mask_hides() {
         let value = |i: usize| Rng::new(3).at(Stream::Test, 0, i as u32, 0).uniform(0) - 0.5;
-        let tensor = |shape: Vec<usize>| Tensor { values: (0..shape.iter().product()).map(value).collect(), shape };
+        let tensor =
+            |shape: Vec<usize>| Tensor { values: (0..shape.iter().product()).map(value).collect(), shape };
         let tensors = Net::AlexNet.tensors().map(|(name, shape)| (name, tensor(shape))).collect();
         let lpips = Lpips::new(Net::AlexNet, &tensors).unwrap();
-        let columns = |right: u8| (0..32 * 32).flat_map(|i| [if i % 32 < 16 { 99 } else { right }; 3]).collect();
+        let columns =
+            |right: u8| (0..32 * 32).flat_map(|i| [if i % 32 < 16 { 99 } else { right }; 3]).collect();
         let photo = |right: u8| Photo { width: 32, height: 32, rgb: columns(right) };
         let distance = |mask: Option<Mask>| {
             let (name, camera) = ("a.png".into(), Camera::at_origin(32, 32, 32.0));
@@ -155,7 +168,8 @@ mod tests {
         let json = serde_json::to_value(&exact).unwrap();
         assert_eq!((&json["psnr"], &json["views"][0]["psnr"]), (&120.0.into(), &120.0.into()));
         // Older versions wrote `null`.
-        let older: ViewScore = serde_json::from_str(r#"{"name": "a.png", "psnr": null, "ssim": 1.0}"#).unwrap();
+        let older: ViewScore =
+            serde_json::from_str(r#"{"name": "a.png", "psnr": null, "ssim": 1.0}"#).unwrap();
         assert!(older.psnr.is_nan());
     }
 }

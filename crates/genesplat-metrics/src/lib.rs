@@ -1,7 +1,7 @@
 //! How good a reconstruction is on photos: PSNR, SSIM and LPIPS by view, and their means.
 //!
-//! The convention of the published numbers: render and photo are both 8-bit, a metric is taken for each image over all
-//! pixels and channels, and the scene's value is the mean over its images.
+//! The convention of the published numbers: render and photo are both 8-bit, a metric is taken for each image
+//! over all pixels and channels, and the scene's value is the mean over its images.
 
 mod evaluate;
 pub mod lpips;

@@ -4,8 +4,8 @@ use genesplat_core::{Mask, Photo};
 
 use crate::{SizeMismatch, check_sizes};
 
-/// PSNR of pictures that are the same, dB: a mean squared error of 1e-12. Without an error the ratio is infinite, which
-/// neither JSON nor a mean can hold.
+/// PSNR of pictures that are the same, dB: a mean squared error of 1e-12. Without an error the ratio is
+/// infinite, which neither JSON nor a mean can hold.
 pub const PSNR_MAX_DB: f64 = 120.0;
 
 /// `−10 · log10` of the mean squared error over all pixels and channels (values in `[0, 1]`), in dB; at most
@@ -46,7 +46,11 @@ mod tests {
     #[test]
     fn hand_computed_values() {
         let black = photo(vec![0; 6]);
-        assert_eq!(psnr(&black, &photo(vec![255; 6])).unwrap().to_bits(), 0, "not -0, which looks odd in print");
+        assert_eq!(
+            psnr(&black, &photo(vec![255; 6])).unwrap().to_bits(),
+            0,
+            "not -0, which looks odd in print"
+        );
         // One of six values off by 51 = 0.2: the mean squared error is 0.04 / 6.
         let off = psnr(&black, &photo(vec![0, 0, 51, 0, 0, 0])).unwrap();
         assert!((off - 21.760_912_590_556_81).abs() < 1e-12, "{off}");

@@ -1,4 +1,5 @@
-//! Structural similarity (Wang et al. 2004) as 3DGS and the published numbers have it: an 11-tap Gaussian window of
+//! Structural similarity (Wang et al. 2004) as 3DGS and the published numbers have it: an 11-tap Gaussian
+//! window of
 //! 1.5 px, zero padding (so the border counts), per channel, mean over all pixels and channels.
 
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
@@ -33,7 +34,8 @@ fn channel_map(a: &Photo, b: &Photo, channel: usize) -> impl Iterator<Item = f64
     let (x, y, width) = (plane(a, channel), plane(b, channel), a.width as usize);
     let product = |a: &[f64], b: &[f64]| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
     let (mean_x, mean_y) = (blur(&x, width), blur(&y, width));
-    let (xx, yy, xy) = (blur(&product(&x, &x), width), blur(&product(&y, &y), width), blur(&product(&x, &y), width));
+    let (xx, yy, xy) =
+        (blur(&product(&x, &x), width), blur(&product(&y, &y), width), blur(&product(&x, &y), width));
     (0..x.len()).map(move |i| similarity(mean_x[i], mean_y[i], xx[i], yy[i], xy[i]))
 }
 
@@ -46,8 +48,8 @@ fn similarity(mean_x: f64, mean_y: f64, mean_xx: f64, mean_yy: f64, mean_xy: f64
         / ((mean_x * mean_x + mean_y * mean_y + c1) * (variance_x + variance_y + c2))
 }
 
-/// The window applied to `[H, W]` values, with zeros beyond the border. Line by line, so that the eleven lines that
-/// one needs stay in cache.
+/// The window applied to `[H, W]` values, with zeros beyond the border. Line by line, so that the eleven
+/// lines that one needs stay in cache.
 fn blur(values: &[f64], width: usize) -> Vec<f64> {
     let (window, border) = (ssim_window(), SSIM_RADIUS * width);
     let mut line = vec![0.0; width + 2 * SSIM_RADIUS];
@@ -79,7 +81,8 @@ mod tests {
 
     fn noise(width: u32, height: u32, seed: u32) -> Photo {
         let rng = Rng::new(2);
-        let rgb = (0..3 * width * height).map(|i| rng.at(Stream::Test, seed, i, 0).below(0, 256) as u8).collect();
+        let rgb =
+            (0..3 * width * height).map(|i| rng.at(Stream::Test, seed, i, 0).below(0, 256) as u8).collect();
         Photo { width, height, rgb }
     }
 
@@ -87,7 +90,8 @@ mod tests {
     fn direct(a: &Photo, b: &Photo) -> f64 {
         let window = ssim_window();
         let value = |photo: &Photo, x: i64, y: i64, channel: usize| {
-            let inside = (0..i64::from(photo.width)).contains(&x) && (0..i64::from(photo.height)).contains(&y);
+            let inside =
+                (0..i64::from(photo.width)).contains(&x) && (0..i64::from(photo.height)).contains(&y);
             if inside { f64::from(photo.pixel(x as u32, y as u32)[channel]) / 255.0 } else { 0.0 }
         };
         let mut sum = 0.0;
@@ -127,7 +131,8 @@ mod tests {
         let (a, b, mut other) = (noise(24, 16, 0), noise(24, 16, 1), noise(24, 16, 2));
         let mask = Mask { counts: (0..24 * 16).map(|index| index % 24 < 12).collect() };
         let half = ssim_under(Some(&mask), &a, &b).unwrap();
-        for (index, rgb) in other.rgb.chunks_exact_mut(3).enumerate().filter(|(index, _)| mask.counts[*index]) {
+        for (index, rgb) in other.rgb.chunks_exact_mut(3).enumerate().filter(|(index, _)| mask.counts[*index])
+        {
             rgb.copy_from_slice(&b.rgb[3 * index..3 * index + 3]);
         }
         assert!(other != b && ssim_under(Some(&mask), &a, &other).unwrap() == half);
@@ -138,7 +143,9 @@ mod tests {
             (0..3).flat_map(|channel| map(channel).map(|(value, _)| value)).sum::<f64>()
         };
         let hidden = (mask.hide_in(&a), mask.hide_in(&b));
-        let map = |channel| channel_map(&hidden.0, &hidden.1, channel).zip(&left.counts).filter(|(_, counts)| **counts);
+        let map = |channel| {
+            channel_map(&hidden.0, &hidden.1, channel).zip(&left.counts).filter(|(_, counts)| **counts)
+        };
         let sum: f64 = (0..3).flat_map(|channel| map(channel).map(|(value, _)| value)).sum();
         assert!((sum - of_whole(&left)).abs() < 1e-9);
         assert_eq!(ssim_under(None, &a, &b), ssim(&a, &b));

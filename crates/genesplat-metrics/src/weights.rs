@@ -1,7 +1,8 @@
-//! Weights of networks, as named tensors: safetensors (read and written), and what `torch.save` writes (read).
+//! Weights of networks, as named tensors: safetensors (read and written), and what `torch.save` writes
+//! (read).
 //!
-//! `pytorch-reader` knows all three containers of PyTorch and runs no code that a file may hold. Tensors come out as
-//! f32, row-major, under torchvision's names.
+//! `pytorch-reader` knows all three containers of PyTorch and runs no code that a file may hold. Tensors come
+//! out as f32, row-major, under torchvision's names.
 
 use std::collections::BTreeMap;
 use std::fmt::{Debug, Display};
@@ -50,7 +51,8 @@ pub enum WeightFileError {
     },
 }
 
-/// Largest safetensors file that is read at once, bytes: four times VGG16's convolutions and classifier in f16.
+/// Largest safetensors file that is read at once, bytes: four times VGG16's convolutions and classifier in
+/// f16.
 const BYTES_MAX: u64 = 1 << 30;
 
 /// The tensors in the file at `path` whose name `wants` accepts; the kind of file is told by its content.
@@ -111,7 +113,10 @@ fn read_pytorch(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensor
         // A tensor may repeat a stored value as often as it says.
         let promised = stored.byte_len() as u64;
         if promised > held {
-            return Err(damaged(path, format!("tensor {} has {promised} bytes, and the file {held}", shown(&name))));
+            return Err(damaged(
+                path,
+                format!("tensor {} has {promised} bytes, and the file {held}", shown(&name)),
+            ));
         }
         let bytes = stored.read().map_err(|error| damaged(path, error))?;
         tensor(path, name, stored.dtype(), stored.shape(), &bytes)
@@ -132,7 +137,10 @@ fn tensor(
         "F16" => bytes.as_chunks().0.iter().map(|&value| f16::from_le_bytes(value).to_f32()).collect(),
         other => {
             let remedy = "and only F16 and F32 are read; convert the file to F32";
-            return Err(unusable(path, format!("cannot be used: its tensor {} holds {other}, {remedy}", shown(&name))));
+            return Err(unusable(
+                path,
+                format!("cannot be used: its tensor {} holds {other}, {remedy}", shown(&name)),
+            ));
         }
     };
     Ok((name, Tensor { shape: shape.to_vec(), values }))

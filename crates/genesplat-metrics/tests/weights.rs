@@ -1,4 +1,5 @@
-//! Weights as `torch.save` wrote them before PyTorch 1.6: torchvision's networks and the heads of LPIPS are such files.
+//! Weights as `torch.save` wrote them before PyTorch 1.6: torchvision's networks and the heads of LPIPS are
+//! such files.
 
 use std::fs;
 
@@ -15,10 +16,12 @@ fn legacy_file(name: &str, class: &str, values: &[u8]) -> Vec<u8> {
     let pickle = |parts: &[&[u8]]| [&b"\x80\x02"[..], &parts.concat(), b"."].concat();
     let class = format!("ctorch\n{class}\n");
     // ('storage', class, key, location, number of values, no view) is what the tensor refers to.
-    let storage = [b"(", &text("storage")[..], class.as_bytes(), &text("7"), &text("cpu"), b"K\x03NtQ"].concat();
+    let storage =
+        [b"(", &text("storage")[..], class.as_bytes(), &text("7"), &text("cpu"), b"K\x03NtQ"].concat();
     let shape_and_stride = b"K\x00(K\x01K\x03K\x01K\x01t(K\x03K\x01K\x01K\x01t\x89";
     let hooks = b"ccollections\nOrderedDict\n)Rt";
-    let rebuild = [b"ctorch._utils\n_rebuild_tensor_v2\n(", &storage[..], shape_and_stride, hooks, b"R"].concat();
+    let rebuild =
+        [b"ctorch._utils\n_rebuild_tensor_v2\n(", &storage[..], shape_and_stride, hooks, b"R"].concat();
     [
         pickle(&[b"\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19"]),
         pickle(&[b"M\xe9\x03"]),
@@ -76,7 +79,8 @@ fn weights_cut_anywhere_are_an_error() {
     for whole in [fs::read(&path).unwrap(), float_file()] {
         for length in 0..whole.len() {
             fs::write(&path, &whole[..length]).unwrap();
-            let error = read_weights(&path, |_| true).expect_err("truncated weights must not load").to_string();
+            let error =
+                read_weights(&path, |_| true).expect_err("truncated weights must not load").to_string();
             assert!(error.contains("no whole") && !error.contains('\n'), "cut to {length}: {error}");
         }
     }

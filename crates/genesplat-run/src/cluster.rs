@@ -82,8 +82,8 @@ pub fn notice_other_starters() {
 }
 
 impl Cluster {
-    /// Joins the others for a run in `folder`; `told` is set when mpirun, or somebody else, tells this process to end. `end`
-    /// ends it with a sentence where it is about to be ended without one.
+    /// Joins the others for a run in `folder`; `told` is set when mpirun, or somebody else, tells this
+    /// process to end. `end` ends it with a sentence where it is about to be ended without one.
     pub fn join(told: &Arc<AtomicBool>, folder: &Path, end: fn(&str)) -> Result<Self> {
         let (asked, stop) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
         #[cfg(unix)]
@@ -182,9 +182,10 @@ pub fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> {
     Ok(done)
 }
 
-/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and has rank 0 end with
-/// a sentence before mpirun ends all without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
-/// does that. The others wait for mpirun, which ends all at once when the first of them does: before anything is said.
+/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and
+/// has rank 0 end with a sentence before mpirun ends all without. `root` is the process of rank 0: where it
+/// ran beside rank 1 and is gone, rank 1 does that. The others wait for mpirun, which ends all at once when
+/// the first of them does: before anything is said.
 fn end_in_time(
     [told, asked, done]: [Arc<AtomicBool>; 3],
     (rank, root): (usize, u32),
@@ -215,8 +216,8 @@ fn end_in_time(
 
 #[cfg(feature = "mpi")]
 fn connect(asked: Arc<AtomicBool>, stop: Arc<AtomicBool>) -> Result<Group> {
-    let ranks =
-        genesplat_cluster::mpi::Mpi::initialise().ok_or_else(|| anyhow::anyhow!("MPI cannot be begun twice"))?;
+    let ranks = genesplat_cluster::mpi::Mpi::initialise()
+        .ok_or_else(|| anyhow::anyhow!("MPI cannot be begun twice"))?;
     Ok(Group::new(ranks, asked, stop))
 }
 

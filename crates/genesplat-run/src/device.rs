@@ -36,8 +36,8 @@ impl DeviceChoice {
         }
     }
 
-    /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is known to
-    /// be well: drivers may write to stderr when they are looked for.
+    /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is
+    /// known to be well: drivers may write to stderr when they are looked for.
     pub fn resolve(self) -> Result<Self> {
         match self {
             Self::Cpu => Ok(Self::Cpu),
@@ -70,21 +70,26 @@ fn auto_choice() -> &'static Result<(), String> {
     })
 }
 
-/// The graphics device that `auto` takes, or why it takes none: one in software is slower than the CPU backend.
+/// The graphics device that `auto` takes, or why it takes none: one in software is slower than the CPU
+/// backend.
 fn auto_adapter(adapters: &[AdapterReport]) -> Result<&AdapterReport, String> {
     let usable = || adapters.iter().filter(|adapter| adapter.unusable.is_none());
     match usable().find(|adapter| !adapter.is_software()) {
         Some(adapter) => Ok(adapter),
         None => Err(usable().next().map_or_else(
             || why_none(adapters),
-            |software| format!("{} is no graphics card but software, slower than the CPU itself", software.name),
+            |software| {
+                format!("{} is no graphics card but software, slower than the CPU itself", software.name)
+            },
         )),
     }
 }
 
 /// Why no graphics device can be used, as the middle of a sentence.
 fn why_none(adapters: &[AdapterReport]) -> String {
-    let reason = |adapter: &AdapterReport| adapter.unusable.as_ref().map(|reason| format!("{} {reason}", adapter.name));
+    let reason = |adapter: &AdapterReport| {
+        adapter.unusable.as_ref().map(|reason| format!("{} {reason}", adapter.name))
+    };
     let reasons: Vec<String> = adapters.iter().filter_map(reason).collect();
     if reasons.is_empty() {
         return "this machine has no graphics device with a Vulkan, Metal or DX12 driver".into();
@@ -100,9 +105,11 @@ pub fn open(choice: DeviceChoice) -> Result<Device> {
     }
 }
 
-/// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts from 1.
+/// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts
+/// from 1.
 pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
-    let rates = LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
+    let rates =
+        LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
     TrainStep {
         view,
         settings,
@@ -115,7 +122,10 @@ pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainSt
 /// Sets the number of threads of everything that follows; `None` takes all cores.
 pub fn use_threads(threads: Option<u16>) -> Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
-        anyhow!("cannot start {}: {error}; use fewer --threads, or raise the limits of this process", wanted(threads))
+        anyhow!(
+            "cannot start {}: {error}; use fewer --threads, or raise the limits of this process",
+            wanted(threads)
+        )
     })
 }
 

@@ -13,7 +13,8 @@ pub(crate) const PARTS: [&str; 4] =
 pub(crate) fn digests(settings: &Settings, scene: &Scene) -> [Digest; PARTS.len()] {
     let Inputs { settings: of_result, scene, .. } = Inputs::of(settings, scene);
     let checkpoint_every = settings.schedule.config().checkpoint_every;
-    let of_photos = |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
+    let of_photos =
+        |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
     let camera = |photo: &PhotoDigests| [photo.pose.bytes(), photo.lens.bytes()].concat();
     let photo = |photo: &PhotoDigests| {
         let mask = photo.mask.map_or([0; 32], |mask| mask.bytes());

@@ -15,10 +15,14 @@ pub(crate) fn explain(error: anyhow::Error, folder: &Path, caller: Caller) -> an
     error.context(sentence)
 }
 
-/// What is left of a run in `folder` whose processes are gone, and how to go on. Looks and does not read: there is no time.
+/// What is left of a run in `folder` whose processes are gone, and how to go on. Looks and does not read:
+/// there is no time.
 pub(crate) fn left_by_ranks(folder: &Path) -> String {
     if has_checkpoint(folder) {
-        format!("{} is left, and the same command with --resume goes on from there", shown(folder.join(CHECKPOINT)))
+        format!(
+            "{} is left, and the same command with --resume goes on from there",
+            shown(folder.join(CHECKPOINT))
+        )
     } else if folder.join(METRICS).exists() {
         format!("the run in {} is whole", shown(folder))
     } else {
@@ -76,7 +80,9 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
         }
         (Caller::Experiment, _) => "the same command goes on from there",
         (_, None) => "--resume goes on from there",
-        (_, Some(DeviceFailure::Lost)) => "the same command with --resume goes on from there, also with --device cpu",
+        (_, Some(DeviceFailure::Lost)) => {
+            "the same command with --resume goes on from there, also with --device cpu"
+        }
         (_, Some(DeviceFailure::HostOutOfMemory)) => {
             "the same command with --resume goes on from there where there is more memory, while other limits need a new run"
         }
@@ -84,7 +90,11 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
             "the same command with --resume --device cpu goes on from there, while other limits need a new run"
         }
     };
-    format!(" ({} holds the run at iteration {}; {how})", shown(folder.join(CHECKPOINT)), checkpoint.cursor.iteration)
+    format!(
+        " ({} holds the run at iteration {}; {how})",
+        shown(folder.join(CHECKPOINT)),
+        checkpoint.cursor.iteration
+    )
 }
 
 #[cfg(test)]
@@ -134,7 +144,8 @@ mod tests {
         let file = folder.join(CHECKPOINT).display().to_string();
         let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
         for sentence in errors.map(says) {
-            let parts = ["out of memory on toy", &file, "iteration 4213", "--resume --device cpu", "--max-side"];
+            let parts =
+                ["out of memory on toy", &file, "iteration 4213", "--resume --device cpu", "--max-side"];
             assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
         }
         let sentence = says(TrainError::Backend(lost()).into());
@@ -142,11 +153,15 @@ mod tests {
         assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
         assert!(says(other()).ends_with("--resume goes on from there)"));
         // A demo never goes on, and `experiment` knows no --resume.
-        let errors: [fn() -> anyhow::Error; 3] = [|| anyhow!("full"), || out_of_memory().into(), || lost().into()];
+        let errors: [fn() -> anyhow::Error; 3] =
+            [|| anyhow!("full"), || out_of_memory().into(), || lost().into()];
         for error in errors {
             assert_eq!(says_by(Caller::Demo, error()), error().to_string());
             let sentence = says_by(Caller::Experiment, error());
-            assert!(sentence.contains("the same command goes on") && !sentence.contains("--resume"), "{sentence}");
+            assert!(
+                sentence.contains("the same command goes on") && !sentence.contains("--resume"),
+                "{sentence}"
+            );
         }
 
         fs::write(&file, "no checkpoint").unwrap();

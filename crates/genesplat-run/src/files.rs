@@ -91,8 +91,9 @@ pub fn make_empty(folder: &Path, name: &str) -> Result<PathBuf> {
 /// The format of splats that the name of a file ends in.
 pub fn format_of(path: &Path) -> Result<Format> {
     let endings = Format::ALL.map(Format::ending).join(", ");
-    Format::of(path)
-        .with_context(|| format!("{} names no format that genesplat writes; end it in one of {endings}", shown(path)))
+    Format::of(path).with_context(|| {
+        format!("{} names no format that genesplat writes; end it in one of {endings}", shown(path))
+    })
 }
 
 /// Removes the file `name` of ours in `folder`, which would be taken for something that it no longer is.
@@ -103,7 +104,8 @@ pub fn remove_if_there(folder: &Path, name: impl AsRef<Path>) -> Result<()> {
     })
 }
 
-/// Removes what processes that were killed while they wrote have left in `folder`; whoever calls holds its lock.
+/// Removes what processes that were killed while they wrote have left in `folder`; whoever calls holds its
+/// lock.
 pub fn remove_leftovers(folder: &Path) {
     for file in leftovers(folder) {
         // Only litter.
@@ -137,9 +139,15 @@ pub fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
         return anyhow!("{} is a folder, and a file is to be written; give the name of a file", shown(path));
     }
     if error.kind() == ErrorKind::FileTooLarge {
-        return anyhow!("cannot write {}: {error}; raise the limit on the size of files (ulimit -f)", shown(path));
+        return anyhow!(
+            "cannot write {}: {error}; raise the limit on the size of files (ulimit -f)",
+            shown(path)
+        );
     }
-    anyhow!("cannot write {}: {error}; choose a folder that can be written to, or free some space", shown(path))
+    anyhow!(
+        "cannot write {}: {error}; choose a folder that can be written to, or free some space",
+        shown(path)
+    )
 }
 
 #[cfg(test)]
@@ -153,7 +161,9 @@ mod tests {
         let left = ".genesplat-4711-12.tmp";
         mine.iter().chain([&left]).for_each(|name| fs::write(place.path().join(name), "x").unwrap());
         remove_leftovers(place.path());
-        assert!(mine.iter().all(|name| place.path().join(name).exists()) && !place.path().join(left).exists());
+        assert!(
+            mine.iter().all(|name| place.path().join(name).exists()) && !place.path().join(left).exists()
+        );
         remove_leftovers(&place.path().join("absent"));
     }
 

@@ -1,7 +1,7 @@
 //! What a run began with: its settings, and digests of its photos, masks, cameras and points.
 //!
-//! A run's folder has it in `inputs.json`, and its checkpoint has it, too, so that nothing goes on with something else
-//! unnoticed. Files are known by their bytes (`sha256sum` finds the same), wherever they lie.
+//! A run's folder has it in `inputs.json`, and its checkpoint has it, too, so that nothing goes on with
+//! something else unnoticed. Files are known by their bytes (`sha256sum` finds the same), wherever they lie.
 
 use std::fmt::Display;
 use std::io::{BufReader, ErrorKind};
@@ -60,8 +60,8 @@ impl Inputs {
     pub fn of_checkpoint(folder: &Path) -> Result<Self> {
         let path = folder.join(CHECKPOINT);
         let file = input::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
-        let origin =
-            Checkpoint::read_origin(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", shown(&path)))?;
+        let origin = Checkpoint::read_origin(BufReader::new(file))
+            .map_err(|error| anyhow!("{}: {error}", shown(&path)))?;
         serde_json::from_str(&origin).map_err(|_| {
             anyhow!(
                 "{} does not say what its run began with; remove it to begin the run anew, without --resume",
@@ -71,12 +71,13 @@ impl Inputs {
     }
 }
 
-/// What of the run in `folder` was run with other settings than these, by what it and its checkpoint say. One that is not
-/// known is left to who reads it.
+/// What of the run in `folder` was run with other settings than these, by what it and its checkpoint say. One
+/// that is not known is left to who reads it.
 pub fn other_settings(folder: &Path, settings: &Settings) -> Option<String> {
     let here = settings.of_result();
     let differ = |name: &str, inputs: &Inputs| {
-        difference_of_results(&inputs.settings, &here).map(|difference| format!("by its {name}, {difference}"))
+        difference_of_results(&inputs.settings, &here)
+            .map(|difference| format!("by its {name}, {difference}"))
     };
     match Inputs::read(folder) {
         Err(error) => return Some(error.to_string()),
@@ -85,9 +86,16 @@ pub fn other_settings(folder: &Path, settings: &Settings) -> Option<String> {
     .or_else(|| Inputs::of_checkpoint(folder).ok().and_then(|inputs| differ(CHECKPOINT, &inputs)))
 }
 
-/// Fails where the checkpoint in `folder` is of another run than the one that goes on with `now`, or the scene called `name` is
-/// not what it began with, unless that is accepted. What has been accepted is noted in `now`.
-pub fn check_goes_on(folder: &Path, now: &mut Inputs, name: &str, caller: Caller, accepts: bool) -> Result<()> {
+/// Fails where the checkpoint in `folder` is of another run than the one that goes on with `now`, or the
+/// scene called `name` is not what it began with, unless that is accepted. What has been accepted is noted in
+/// `now`.
+pub fn check_goes_on(
+    folder: &Path,
+    now: &mut Inputs,
+    name: &str,
+    caller: Caller,
+    accepts: bool,
+) -> Result<()> {
     let began = Inputs::of_checkpoint(folder)?;
     if let Some(difference) = difference_of_results(&began.settings, &now.settings) {
         bail!(
@@ -160,8 +168,8 @@ pub fn check_shared(folders: [&Path; 2], inputs: [&Inputs; 2]) -> Result<()> {
     })
 }
 
-/// Tells who looks at what the run in `folder` has made that photos or cameras of the scene called `name` are not those that it
-/// began with.
+/// Tells who looks at what the run in `folder` has made that photos or cameras of the scene called `name` are
+/// not those that it began with.
 pub fn notice_changes(began: &SceneDigests, folder: &Path, now: &SceneDigests, name: &str) {
     if let Some(change) = Changes::of_photos(began, now).told(folder, name) {
         output::tell(&format!("notice: {change}"));
@@ -178,14 +186,20 @@ impl Changes {
             let now = now.photo(&photo.name)?;
             let name = shown(&photo.name);
             match (photo.held_out, now.held_out) {
-                (true, false) => Some(format!("photo {name} is trained on, and was held out when the run began")),
-                (false, true) => Some(format!("photo {name} is held out, and was trained on when the run began")),
+                (true, false) => {
+                    Some(format!("photo {name} is trained on, and was held out when the run began"))
+                }
+                (false, true) => {
+                    Some(format!("photo {name} is held out, and was trained on when the run began"))
+                }
                 _ => None,
             }
         });
         let new = now.photos.iter().filter(|photo| began.photo(&photo.name).is_none());
         changes.extend(split);
-        changes.extend(new.map(|photo| format!("photo {} was not there when the run began", shown(&photo.name))));
+        changes.extend(
+            new.map(|photo| format!("photo {} was not there when the run began", shown(&photo.name))),
+        );
         let points_differ = began.points.zip(now.points).is_some_and(|(began, now)| began != now);
         changes.extend(points_differ.then(|| "the points are not what the run began with".to_owned()));
         Self(changes)
@@ -218,8 +232,8 @@ fn changes_of(began: &PhotoDigests, now: &PhotoDigests) -> Vec<String> {
         (began, now) => (began != now).then(|| not_the_same(&format!("the mask of {photo}"))),
     };
     let picture = (began.photo != now.photo).then(|| not_the_same(&photo));
-    let lens =
-        (began.lens != now.lens).then(|| not_the_same(&format!("the camera (size, focal length or lens) of {photo}")));
+    let lens = (began.lens != now.lens)
+        .then(|| not_the_same(&format!("the camera (size, focal length or lens) of {photo}")));
     let pose = (began.pose != now.pose).then(|| not_the_same(&format!("the pose of {photo}")));
     [picture, mask, lens, pose].into_iter().flatten().collect()
 }
@@ -243,19 +257,31 @@ mod tests {
         let other = Digest::of(b"other");
         let cases: [(fn(&mut SceneDigests, Digest), &str); 9] = [
             (|_, _| (), ""),
-            (|scene, other| scene.photos[3].photo = other, "photo gallery_003.png is not what the run began with"),
-            (|scene, other| scene.photos[3].mask = Some(other), "photo gallery_003.png has a mask, and had none"),
+            (
+                |scene, other| scene.photos[3].photo = other,
+                "photo gallery_003.png is not what the run began with",
+            ),
+            (
+                |scene, other| scene.photos[3].mask = Some(other),
+                "photo gallery_003.png has a mask, and had none",
+            ),
             (|scene, other| scene.photos[3].pose = other, "the pose of photo gallery_003.png is not"),
             (
                 |scene, other| scene.photos[3].lens = other,
                 "the camera (size, focal length or lens) of photo gallery_003",
             ),
-            (|scene, _| _ = scene.photos.remove(3), "photo gallery_003.png, which the run began with, is not there"),
+            (
+                |scene, _| _ = scene.photos.remove(3),
+                "photo gallery_003.png, which the run began with, is not there",
+            ),
             (
                 |scene, _| scene.photos[8].name = "z.png".into(),
                 "photo gallery_008.png, which the run began with, is not",
             ),
-            (|scene, _| scene.photos[0].held_out = false, "photo gallery_000.png is trained on, and was held out"),
+            (
+                |scene, _| scene.photos[0].held_out = false,
+                "photo gallery_000.png is trained on, and was held out",
+            ),
             (|scene, other| scene.points = Some(other), "the points are not what the run began with"),
         ];
         for (change, words) in cases {

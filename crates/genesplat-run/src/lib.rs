@@ -1,7 +1,7 @@
 //! A run: its settings, the folder that it leaves behind, and training into it.
 //!
-//! The command, experiments and bindings stand on this library. It knows no arguments and no terminal, and never ends
-//! the process: what is to be said goes to who listens ([`output::Tell`]).
+//! The command, experiments and bindings stand on this library. It knows no arguments and no terminal, and
+//! never ends the process: what is to be said goes to who listens ([`output::Tell`]).
 //!
 //! Names in the folder are fixed: people and scripts rely on them.
 //!
@@ -20,7 +20,8 @@
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
 //! | `.lock` | empty; whoever writes to the folder holds its lock |
 //!
-//! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves what was there before.
+//! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves
+//! what was there before.
 
 pub mod cluster;
 pub mod device;

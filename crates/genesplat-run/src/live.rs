@@ -16,7 +16,12 @@ pub fn of_training(address: SocketAddr, scene: &Scene) -> Result<LiveView> {
 }
 
 /// The same of a finished splat called `name`, with the cameras of its scene where they are at hand.
-pub fn of_splat(address: SocketAddr, name: &str, cloud: &Gaussians, scene: Option<&Scene>) -> Result<LiveView> {
+pub fn of_splat(
+    address: SocketAddr,
+    name: &str,
+    cloud: &Gaussians,
+    scene: Option<&Scene>,
+) -> Result<LiveView> {
     let (train, test) = scene.map_or((&[][..], &[][..]), |scene| (&scene.train, &scene.test));
     open(address, Exhibition::new(name, train, test, Some(cloud)), false)
 }

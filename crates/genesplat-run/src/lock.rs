@@ -13,8 +13,8 @@ pub const LOCK: &str = ".lock";
 
 /// One process at a time writes to a folder. The lock is held until it is dropped, or its process ends.
 ///
-/// The empty file stays: were it removed, one process could hold the lock of the file that is gone while another takes
-/// that of a new one.
+/// The empty file stays: were it removed, one process could hold the lock of the file that is gone while
+/// another takes that of a new one.
 #[derive(Debug)]
 pub struct Lock {
     file: File,

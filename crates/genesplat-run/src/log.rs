@@ -38,8 +38,8 @@ impl Log {
         Self { curves, ..self }
     }
 
-    /// Appends one line, and hands it to the system: a log that is followed must not lag behind. Where the log was
-    /// removed and the folder is there again, another one begins.
+    /// Appends one line, and hands it to the system: a log that is followed must not lag behind. Where the
+    /// log was removed and the folder is there again, another one begins.
     pub(crate) fn append(&mut self, record: &LogRecord) -> Result<()> {
         if let Some(folder) = self.path.parent().filter(|folder| folder.exists() && !self.path.exists()) {
             let file = own::create(folder, LOG).map_err(|error| unwritable(&self.path, &error))?;

@@ -1,7 +1,7 @@
 //! Where the weights of LPIPS come from: a flag, an environment variable, or the user's cache folder.
 //!
-//! A file may hold the convolutions of a network, the heads of LPIPS, or both; which network it belongs to is told by
-//! names and shapes.
+//! A file may hold the convolutions of a network, the heads of LPIPS, or both; which network it belongs to is
+//! told by names and shapes.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -63,7 +63,8 @@ pub fn open_all(asked: &Asked) -> Result<Vec<Lpips>> {
     Ok(metrics)
 }
 
-/// The weights that somebody chose: the flag wins over the variable, and an empty one, as scripts leave it, is none.
+/// The weights that somebody chose: the flag wins over the variable, and an empty one, as scripts leave it,
+/// is none.
 fn named(asked: &Asked) -> Option<PathBuf> {
     asked.weights.clone().or_else(|| path_in("GENESPLAT_LPIPS"))
 }
@@ -109,8 +110,8 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
-    let entries =
-        fs::read_dir(path).map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", shown(path)))?;
+    let entries = fs::read_dir(path)
+        .map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", shown(path)))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.retain(|file| file.extension().is_some_and(|end| end == "safetensors" || end == "pth"));
     files.sort();

@@ -10,7 +10,8 @@ pub(crate) fn forget_peak() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
-/// The most memory that this process has held at once, bytes: Linux's `VmHWM`; `None` where the system does not tell.
+/// The most memory that this process has held at once, bytes: Linux's `VmHWM`; `None` where the system does
+/// not tell.
 pub fn peak_bytes() -> Option<u64> {
     high_water_mark(&input::read_text("/proc/self/status".as_ref()).ok()?)
 }

@@ -1,5 +1,5 @@
-//! What a run says, and who hears it. A library has no terminal: a program names a listener once ([`listen`]), and where
-//! there is none, nothing is said.
+//! What a run says, and who hears it. A library has no terminal: a program names a listener once
+//! ([`listen`]), and where there is none, nothing is said.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -122,7 +122,8 @@ pub struct LoadBar(Mutex<Option<(u64, Bar)>>);
 
 impl LoadProgress for LoadBar {
     fn start(&self, photos: usize) {
-        *self.0.lock().expect("no thread panics while it holds this") = Some((0, Bar::new("photos", photos as u64)));
+        *self.0.lock().expect("no thread panics while it holds this") =
+            Some((0, Bar::new("photos", photos as u64)));
     }
 
     fn photo_done(&self) {

@@ -1,5 +1,5 @@
-//! What no command writes over, however its `--out` or `--json` was mistyped: inputs, splats, parts of scenes and of
-//! runs. A picture may be rendered again, and a splat refined again.
+//! What no command writes over, however its `--out` or `--json` was mistyped: inputs, splats, parts of scenes
+//! and of runs. A picture may be rendered again, and a splat refined again.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,8 @@ pub enum Content {
     Picture,
 }
 
-/// Fails now, rather than after an hour, where the file `path` cannot be written from `inputs`, or must not be.
+/// Fails now, rather than after an hour, where the file `path` cannot be written from `inputs`, or must not
+/// be.
 pub fn check_file(path: &Path, content: Content, inputs: &[Option<&Path>]) -> Result<()> {
     check_writable(path)?;
     check_existing(path, content, inputs)
@@ -30,7 +31,8 @@ pub fn check_file(path: &Path, content: Content, inputs: &[Option<&Path>]) -> Re
 /// The same of a file that is known to be writable.
 pub fn check_existing(path: &Path, content: Content, inputs: &[Option<&Path>]) -> Result<()> {
     let Ok(there) = path.canonicalize() else { return Ok(()) };
-    let is_input = inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == there));
+    let is_input =
+        inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == there));
     let what = if is_input { Some("an input of this command") } else { protected(&there, content) };
     what.map_or(Ok(()), |what| {
         bail!("{} is {what}, and would be overwritten; give the name of another file", shown(path))
@@ -67,8 +69,8 @@ fn is_scene(folder: &Path) -> bool {
     entries.any(|entry| is_description(&entry.file_name().to_string_lossy()))
 }
 
-/// Fails where results would go into the scene's own folder, among names that both may have (`test/`, for one), or among
-/// its photos, masks or models.
+/// Fails where results would go into the scene's own folder, among names that both may have (`test/`, for
+/// one), or among its photos, masks or models.
 pub fn check_apart(data: &Path, out: &Path) -> Result<()> {
     let (Ok(data), Some(out_whole)) = (data.canonicalize(), whole(out)) else { return Ok(()) };
     let Ok(inside) = out_whole.strip_prefix(&data) else { return Ok(()) };
@@ -85,11 +87,13 @@ pub fn check_apart(data: &Path, out: &Path) -> Result<()> {
 /// The whole path without links, of what may not exist yet.
 fn whole(path: &Path) -> Option<PathBuf> {
     let path = std::path::absolute(path).ok()?;
-    let (there, ancestor) = path.ancestors().find_map(|ancestor| Some((ancestor.canonicalize().ok()?, ancestor)))?;
+    let (there, ancestor) =
+        path.ancestors().find_map(|ancestor| Some((ancestor.canonicalize().ok()?, ancestor)))?;
     Some(there.join(path.strip_prefix(ancestor).ok()?))
 }
 
-/// Fails where `out` is a photo of `scene`, or a folder that holds some: pictures that we write may have their names.
+/// Fails where `out` is a photo of `scene`, or a folder that holds some: pictures that we write may have
+/// their names.
 pub fn check_photos(scene: &Scene, out: &Path) -> Result<()> {
     let Ok(taken) = out.canonicalize() else { return Ok(()) };
     let is_hit = |photo: &Path| photo == taken || photo.parent() == Some(&taken);
@@ -150,8 +154,11 @@ mod tests {
         ];
         cases.iter().for_each(|(name, _)| drop(file(name)));
         for (name, expected) in cases {
-            for (content, what) in [Content::Figures, Content::Splat, Content::Picture].into_iter().zip(expected) {
-                let refusal = check_file(&file(name), content, &[Some(&input)]).err().map(|error| error.to_string());
+            for (content, what) in
+                [Content::Figures, Content::Splat, Content::Picture].into_iter().zip(expected)
+            {
+                let refusal =
+                    check_file(&file(name), content, &[Some(&input)]).err().map(|error| error.to_string());
                 assert_eq!(refusal.is_some(), what.is_some(), "{name}, {content:?}: {refusal:?}");
                 assert!(refusal.is_none_or(|sentence| sentence.contains(what.unwrap())), "{name}");
             }

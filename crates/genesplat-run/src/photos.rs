@@ -1,8 +1,9 @@
-//! Whether a run is given the scene that it began with, as far as paths, names and sizes tell; [`super::inputs`] knows more.
+//! Whether a run is given the scene that it began with, as far as paths, names and sizes tell;
+//! [`super::inputs`] knows more.
 //!
-//! A scene may move, so a path decides only while the old one exists. What tells apart the scene of a run that an older version
-//! has made is the number of training photos and the size of the scene in the log, and the names of test photos in the
-//! figures.
+//! A scene may move, so a path decides only while the old one exists. What tells apart the scene of a run
+//! that an older version has made is the number of training photos and the size of the scene in the log, and
+//! the names of test photos in the figures.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -46,7 +47,8 @@ pub fn check(folder: &Path, scene: &Scene) -> Result<()> {
         shown(&scene.name)
     );
     let extent = scene_extent(scene.train.iter().map(|view| &view.camera)).ok();
-    let differ = had.zip(extent).is_some_and(|((_, began_with), now)| (began_with / now - 1.0).abs() > SAME_EXTENT);
+    let differ =
+        had.zip(extent).is_some_and(|((_, began_with), now)| (began_with / now - 1.0).abs() > SAME_EXTENT);
     ensure!(
         !differ,
         "the run in {} began with other cameras than {} has now, whose reconstruction was made anew; bring back the scene as it \
@@ -57,8 +59,8 @@ pub fn check(folder: &Path, scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-/// Fails where a test photo of `scene` is none of those of the run whose folder `splat` is: its list of photos has
-/// changed since, so training may have seen that one. Of a bare PLY nothing is known.
+/// Fails where a test photo of `scene` is none of those of the run whose folder `splat` is: its list of
+/// photos has changed since, so training may have seen that one. Of a bare PLY nothing is known.
 pub fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
     let Some(metrics) = Metrics::read(splat) else { return Ok(()) };
     let knows = |name: &String| metrics.test.views.iter().any(|view| view.name == *name);
@@ -73,8 +75,8 @@ pub fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
     );
 }
 
-/// How many photos the run in `folder` trained on, and the extent of their cameras, world units, as the first line of its log
-/// has it.
+/// How many photos the run in `folder` trained on, and the extent of their cameras, world units, as the first
+/// line of its log has it.
 fn first_line(folder: &Path) -> Option<(usize, f64)> {
     #[derive(Deserialize)]
     #[serde(tag = "event", rename_all = "kebab-case")]
@@ -142,8 +144,7 @@ mod tests {
         begun_with(8);
 
         let metrics = |name: &str| {
-            let test =
-                serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0, "ssim": 0.5}]});
+            let test = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0, "ssim": 0.5}]});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
             serde_json::json!({"iterations": 3, "gaussians": 20, "test": test, "train": {"psnr": null, "ssim": null, "views": []},
                 "seconds": seconds, "evolution": []})

@@ -1,6 +1,6 @@
-//! Whether something is prepared that a stranger's files bound: a scene is loaded, photos are copied, an archive is
-//! unpacked. The first Ctrl-C or SIGTERM then ends the process at once, though training would save what it has; who hears
-//! signals asks here.
+//! Whether something is prepared that a stranger's files bound: a scene is loaded, photos are copied, an
+//! archive is unpacked. The first Ctrl-C or SIGTERM then ends the process at once, though training would save
+//! what it has; who hears signals asks here.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 

@@ -1,7 +1,8 @@
-//! What a run tells while it is under way: one bar and a few sentences, lines in the log, checkpoints on disk.
+//! What a run tells while it is under way: one bar and a few sentences, lines in the log, checkpoints on
+//! disk.
 //!
-//! An observer cannot fail, so the first thing that goes wrong here (a full disk, most likely) is kept and the run is
-//! told to stop.
+//! An observer cannot fail, so the first thing that goes wrong here (a full disk, most likely) is kept and
+//! the run is told to stop.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -42,8 +43,8 @@ pub struct Reporter<'a> {
 }
 
 impl<'a> Reporter<'a> {
-    /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer possible; scores
-    /// test photos now and then. An experiment speaks for itself, but for bars that vanish.
+    /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer
+    /// possible; scores test photos now and then. An experiment speaks for itself, but for bars that vanish.
     pub(crate) fn of_run(
         run: (&'a RunSession, Option<&'a Cluster>),
         log: Option<Log>,

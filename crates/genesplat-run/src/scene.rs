@@ -13,11 +13,12 @@ use crate::output::LoadBar;
 use crate::preparing;
 use crate::settings::Dataset;
 
-/// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are trained.
+/// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are
+/// trained.
 pub const PHOTO_MEMORY: u64 = 1 << 30;
 
-/// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go that memory should
-/// not hold.
+/// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go
+/// that memory should not hold.
 pub fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
     told(read(&dataset.path, background, LoadOptions { seed, spill, ..dataset.options() }))
 }
@@ -60,13 +61,16 @@ pub fn picture_names(views: &[View]) -> Vec<String> {
 /// Most bytes of a file's name (`NAME_MAX` of Linux and macOS, and less than Windows allows).
 const NAME_BYTES_MAX: usize = 255;
 
-/// The same for photos of these names: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all
-/// names keep theirs (`0001.jpg.png`). Where that is too long, or differs in case only, which many file systems do not
-/// tell apart, all names are shortened and numbered (`00000_0001.png`).
+/// The same for photos of these names: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending
+/// only, all names keep theirs (`0001.jpg.png`). Where that is too long, or differs in case only, which many
+/// file systems do not tell apart, all names are shortened and numbered (`00000_0001.png`).
 pub(crate) fn names_of_pictures(photos: &[&str]) -> Vec<String> {
     let short = photos.iter().map(|name| format!("{}.png", stem(name))).collect();
     let whole = photos.iter().map(|name| format!("{name}.png")).collect();
-    [short, whole].into_iter().find(|names: &Vec<String>| fit_one_folder(names)).unwrap_or_else(|| numbered(photos))
+    [short, whole]
+        .into_iter()
+        .find(|names: &Vec<String>| fit_one_folder(names))
+        .unwrap_or_else(|| numbered(photos))
 }
 
 fn fit_one_folder(names: &[String]) -> bool {
@@ -99,12 +103,20 @@ mod tests {
 
     fn view(name: &str) -> View {
         let camera = Camera::at_origin(1, 1, 1.0);
-        View { name: name.into(), camera, photo: Photo { width: 1, height: 1, rgb: vec![0; 3] }.into(), mask: None }
+        View {
+            name: name.into(),
+            camera,
+            photo: Photo { width: 1, height: 1, rgb: vec![0; 3] }.into(),
+            mask: None,
+        }
     }
 
     #[test]
     fn pictures_are_named_after_photos_and_never_share_a_name() {
-        assert_eq!(picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]), ["a.png", "b.c.png", "r_0.5.png"]);
+        assert_eq!(
+            picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]),
+            ["a.png", "b.c.png", "r_0.5.png"]
+        );
         assert_eq!(picture_names(&[view("a.webp")]), ["a.png"]);
         assert_eq!(picture_names(&[view("a.jpg"), view("a.png")]), ["a.jpg.png", "a.png.png"]);
         assert_eq!(picture_names(&[view("a.jpg"), view("A.png")]), ["a.jpg.png", "A.png.png"]);

@@ -26,8 +26,8 @@ pub fn evaluate_all(
     Ok(evaluation.expect("nothing sets the flag"))
 }
 
-/// Scores one photo after the other, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders are
-/// written to `test/` of the run in `folder`.
+/// Scores one photo after the other, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders
+/// are written to `test/` of the run in `folder`.
 pub(crate) fn evaluate_until(
     stop: &AtomicBool,
     device: &mut Device,
@@ -44,7 +44,8 @@ pub(crate) fn evaluate_until(
         }
         let mut written = Ok(());
         let of_one = evaluate(device.as_mut(), slice::from_ref(view), settings, lpips, |_, picture| {
-            written = folder.map_or(Ok(()), |folder| write_own_png(folder, Path::new(TEST).join(&name), &picture));
+            written =
+                folder.map_or(Ok(()), |folder| write_own_png(folder, Path::new(TEST).join(&name), &picture));
         })?;
         written?;
         scores.extend(of_one.views);

@@ -1,4 +1,5 @@
-//! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
+//! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go
+//! on.
 
 use std::cell::RefCell;
 use std::error::Error;
@@ -19,11 +20,12 @@ use super::inputs::Inputs;
 use super::lock::{LOCK, Lock};
 use super::metrics::Metrics;
 use super::{
-    CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST,
+    CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS,
+    SNAPSHOTS, TEST,
 };
 use crate::files::{
-    check_folder, check_name, check_own, make_own_folder, remove_if_there, remove_leftovers, write_own, write_own_json,
-    write_own_text,
+    check_folder, check_name, check_own, make_own_folder, remove_if_there, remove_leftovers, write_own,
+    write_own_json, write_own_text,
 };
 use crate::output;
 use crate::scene::names_of_pictures;
@@ -54,8 +56,8 @@ impl Error for TakenOver {}
 pub enum Caller {
     /// Replaces no results, and goes on with an interrupted run when told to, on any device.
     Train,
-    /// Goes on by itself, with settings that are the same, device included; leaves what is said to the experiment, which knows
-    /// whose results may be replaced.
+    /// Goes on by itself, with settings that are the same, device included; leaves what is said to the
+    /// experiment, which knows whose results may be replaced.
     Experiment,
     /// Never goes on, and replaces an earlier demo.
     Demo,
@@ -78,13 +80,14 @@ pub struct RunSession {
 }
 
 impl RunSession {
-    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint, before anything slow is
-    /// done. What is in it stays as it is until [`Self::begin`].
+    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint, before anything
+    /// slow is done. What is in it stays as it is until [`Self::begin`].
     pub fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
         let check = if resumes { check_is_run } else { check_is_free };
         check(path)?;
         check_names(path)?;
-        // A run that never begins makes no folder, and where there is none, there is nothing to keep others from.
+        // A run that never begins makes no folder, and where there is none, there is nothing to keep others
+        // from.
         let lock = path.is_dir().then(|| Lock::take(path)).transpose()?;
         let shown = shown(path);
         match (resumes, has_checkpoint(path)) {
@@ -97,7 +100,9 @@ impl RunSession {
                 bail!("{shown} holds no checkpoint to go on from; start the run without --resume")
             }
             (false, true) if caller == Caller::Train => {
-                bail!("{shown} holds a run that was interrupted; add --resume to go on, or choose another --out")
+                bail!(
+                    "{shown} holds a run that was interrupted; add --resume to go on, or choose another --out"
+                )
             }
             (false, false) if caller == Caller::Train && path.join(METRICS).exists() => bail!(
                 "{shown} holds the results of a run, and would be written over; choose another --out, or remove that folder"
@@ -150,13 +155,16 @@ impl RunSession {
         if self.inputs.is_empty() { Ok(()) } else { write_own_text(&self.path, INPUTS, &self.inputs) }
     }
 
-    /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results without their
-    /// settings would be taken for something else's.
+    /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results
+    /// without their settings would be taken for something else's.
     fn hold(&self) -> Result<()> {
         let (path, config) = (&self.path, self.path.join(CONFIG));
         match input::read_text(&config) {
             Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Ok(text) if text != self.config && !self.lock.borrow().as_ref().is_some_and(|lock| lock.is_of(path)) => {
+            Ok(text)
+                if text != self.config
+                    && !self.lock.borrow().as_ref().is_some_and(|lock| lock.is_of(path)) =>
+            {
                 bail!(TakenOver { folder: path.clone() })
             }
             _ => return Ok(()),
@@ -165,7 +173,10 @@ impl RunSession {
         *self.lock.borrow_mut() = None;
         *self.lock.borrow_mut() = Some(Lock::take(path)?);
         self.write_beginning()?;
-        output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", shown(path)));
+        output::tell(&format!(
+            "notice: {} was removed while this run wrote to it, and is made anew",
+            shown(path)
+        ));
         Ok(())
     }
 
@@ -189,7 +200,12 @@ impl RunSession {
     }
 
     /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
-    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter, owners: &dyn RowOwners) -> Result<()> {
+    pub(crate) fn write_cloud(
+        &self,
+        cloud: &Gaussians,
+        filter: ScreenFilter,
+        owners: &dyn RowOwners,
+    ) -> Result<()> {
         let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
         if cloud.filter_3d.is_some() {
             self.write_splat(FUSED_CLOUD, &cloud.fused(), &options, owners)?;
@@ -197,7 +213,13 @@ impl RunSession {
         self.write_splat(CLOUD, cloud, &options, owners)
     }
 
-    fn write_splat(&self, name: &str, cloud: &Gaussians, options: &PlyOptions, owners: &dyn RowOwners) -> Result<()> {
+    fn write_splat(
+        &self,
+        name: &str,
+        cloud: &Gaussians,
+        options: &PlyOptions,
+        owners: &dyn RowOwners,
+    ) -> Result<()> {
         self.write_together(name, |out| {
             let mut out = JointWriter::new(out, owners);
             let counts = out.counts(cloud.len())?;
@@ -222,7 +244,8 @@ impl RunSession {
         self.write_together(CHECKPOINT, |out| checkpoint.write_together(out, owners))
     }
 
-    /// Writes a file whose rows all processes of the run own. They take part to its end even where it cannot be written.
+    /// Writes a file whose rows all processes of the run own. They take part to its end even where it cannot
+    /// be written.
     fn write_together(&self, name: &str, fill: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<()> {
         let mut has_begun = false;
         let mut write = || {
@@ -260,7 +283,8 @@ pub fn is_run(folder: &Path) -> bool {
 pub(crate) fn is_part_of_run(path: &Path) -> bool {
     let folder = path.parent().unwrap_or(path);
     let is_render = folder.ends_with(TEST) && folder.parent().is_some_and(is_run);
-    let is_result = |file: &str| path.ancestors().skip(1).any(|folder| folder.join(file) == path && is_run(folder));
+    let is_result =
+        |file: &str| path.ancestors().skip(1).any(|folder| folder.join(file) == path && is_run(folder));
     is_render || is_result(CONFIG) || RESULTS.into_iter().any(is_result)
 }
 
@@ -269,7 +293,8 @@ pub fn has_checkpoint(folder: &Path) -> bool {
     folder.join(CHECKPOINT).exists()
 }
 
-/// Removes what a run has left in `folder`, by name, and keeps its settings: whatever else is there is not ours.
+/// Removes what a run has left in `folder`, by name, and keeps its settings: whatever else is there is not
+/// ours.
 fn remove_results(folder: &Path) -> Result<()> {
     // Their names are in the figures, which go first.
     let pictures = pictures(folder).into_iter().map(|name| Path::new(TEST).join(name));
@@ -304,8 +329,8 @@ pub(crate) fn check_is_run(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Fails where something that is not ours stands at a name of a run's files: a link would be followed to a file of the
-/// user's, and a pipe waits for ever. Better now than when results are written.
+/// Fails where something that is not ours stands at a name of a run's files: a link would be followed to a
+/// file of the user's, and a pipe waits for ever. Better now than when results are written.
 fn check_names(path: &Path) -> Result<()> {
     let folders = FOLDERS.iter().map(|folder| Path::new(folder).join("file"));
     let files = RESULTS.iter().chain(&[CONFIG, LOCK]).map(PathBuf::from);
@@ -325,7 +350,10 @@ fn check_is_free(path: &Path) -> Result<()> {
         Ok(text) => (!text.starts_with(CONFIG_MARK.as_bytes())).then_some(config),
         Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
         Err(error) => {
-            bail!("cannot read {}, which tells whose folder this is: {error}; choose another folder", shown(config))
+            bail!(
+                "cannot read {}, which tells whose folder this is: {error}; choose another folder",
+                shown(config)
+            )
         }
     };
     let Some(file) = foreign else { return Ok(()) };
@@ -389,7 +417,8 @@ mod tests {
         RunSession::claim(&run, Caller::Demo, false).unwrap().begin("").unwrap();
         fs::create_dir(run.join(TEST)).unwrap();
         let view = |name| serde_json::json!({"name": name, "psnr": 9.0, "ssim": 0.5});
-        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [view("a.jpg"), view("../b.jpg")]});
+        let scores =
+            serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [view("a.jpg"), view("../b.jpg")]});
         let metrics = serde_json::json!({"iterations": 3, "gaussians": 20, "test": scores, "train": scores,
             "seconds": {"gradient": 1.0, "evolution": 0.0}});
         fs::write(run.join(METRICS), metrics.to_string()).unwrap();
@@ -414,7 +443,9 @@ mod tests {
         let run = place.path().join("run");
         RunSession::claim(&run, Caller::Train, false).unwrap().begin("").unwrap();
         fs::write(run.join(CHECKPOINT), "of a run").unwrap();
-        for name in RESULTS.iter().filter(|name| **name != CHECKPOINT).chain(&["test", "snapshots", "tensorboard"]) {
+        for name in
+            RESULTS.iter().filter(|name| **name != CHECKPOINT).chain(&["test", "snapshots", "tensorboard"])
+        {
             let _ = fs::remove_dir_all(run.join("tensorboard"));
             fs::create_dir_all(run.join(name).parent().unwrap()).unwrap();
             std::os::unix::fs::symlink(place.path(), run.join(name)).unwrap();
@@ -431,7 +462,8 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let run = place.path().join("run");
         let claim = || RunSession::claim(&run, Caller::Train, false).unwrap();
-        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic, &Alone);
+        let save =
+            |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic, &Alone);
         let mut session = claim();
         session.begin("one = 1").unwrap();
         fs::remove_dir_all(&run).unwrap();

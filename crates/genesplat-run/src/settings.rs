@@ -1,7 +1,7 @@
 //! Flags, configuration file and defaults become one resolved configuration.
 //!
-//! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`,
-//! which is itself such a file.
+//! A flag wins over the file, the file over the default. The result is written to the run folder as
+//! `config.toml`, which is itself such a file.
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,10 @@ pub const THREADS: RangeInclusive<i64> = 1..=1024;
 /// Keys of earlier versions, and what stands for them.
 const OLD_KEYS: [(&str, &str); 6] = [
     ("variant", "the method is a table of its own, as in `[method] name = \"mcmc\"`"),
-    ("evolution", "renew is `name = \"genesplat\"` in [method], paper is the table [genetic], off is any other method"),
+    (
+        "evolution",
+        "renew is `name = \"genesplat\"` in [method], paper is the table [genetic], off is any other method",
+    ),
     ("densify", "its settings are those of the method, in [method] (docs/settings.md)"),
     ("optimiser", "rates are settings of the method, in [method] (docs/settings.md)"),
     ("mcmc", "its settings are those of the method, in [method] (docs/settings.md)"),
@@ -129,7 +132,8 @@ pub struct Dataset {
     /// Folder of a COLMAP scene's photos, below `path` or anywhere; left out for `images`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub images: Option<PathBuf>,
-    /// Longest side of the photos, px; larger ones are reduced. Default: only widths above 1600 px are reduced, to 1600.
+    /// Longest side of the photos, px; larger ones are reduced. Default: only widths above 1600 px are
+    /// reduced, to 1600.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_side: Option<u32>,
     /// Or their divisor: both sides are divided by it.
@@ -243,7 +247,9 @@ impl ConfigFile {
             .map_err(|error| anyhow!("cannot read the configuration {}: {error}", shown(path)))?;
         let over = |file: Table| defaults.into_iter().chain(file).collect();
         let parsed = text.parse().map(over).and_then(Self::from_table).map_err(with_all_fields);
-        parsed.map_err(|problem| anyhow!("the configuration {} is not valid: {problem}; correct it there", shown(path)))
+        parsed.map_err(|problem| {
+            anyhow!("the configuration {} is not valid: {problem}; correct it there", shown(path))
+        })
     }
 
     /// What a file with this content would say.
@@ -275,7 +281,10 @@ impl ConfigFile {
         check_size(self.dataset.max_side, self.dataset.downscale)?;
         check_hold_out(&self.dataset.hold_out)?;
         let near = self.dataset.near.unwrap_or(1.0);
-        ensure!(is_near(near), "near is {near} in the file, and has to be above 0 and at most 1e9; correct it there");
+        ensure!(
+            is_near(near),
+            "near is {near} in the file, and has to be above 0 and at most 1e9; correct it there"
+        );
         check_hidden(self.dataset.mask, self.train.background)?;
         check_range("threads", self.threads.map(Into::into), THREADS)?;
         Ok(self.train.validate()?)
@@ -292,8 +301,8 @@ impl ConfigFile {
         })
     }
 
-    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything. Scenes are
-    /// the same where the last `parts` of their paths are, since folders are moved.
+    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything.
+    /// Scenes are the same where the last `parts` of their paths are, since folders are moved.
     pub fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
         let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
         if there != here {
@@ -342,7 +351,8 @@ impl Settings {
         }
         let Self { dataset, device, threads, schedule } = self;
         let written = Written { device: *device, threads: *threads, train: schedule.config(), dataset };
-        toml::to_string(&written).expect("settings are tables of numbers and text: resolve has checked the path")
+        toml::to_string(&written)
+            .expect("settings are tables of numbers and text: resolve has checked the path")
     }
 }
 
@@ -385,7 +395,8 @@ fn check_range(name: &str, value: Option<i64>, range: RangeInclusive<i64>) -> Re
     bail!("{name} is {value} in the file, and has to be from {from} to {to}; correct it there")
 }
 
-/// Where the settings of training are listed (no other list has `iterations`), what else may stand beside them is, too.
+/// Where the settings of training are listed (no other list has `iterations`), what else may stand beside
+/// them is, too.
 fn with_all_fields(error: toml::de::Error) -> toml::de::Error {
     let others = "expected one of `device`, `threads`, `dataset`,";
     let message = error.message();
@@ -438,62 +449,4 @@ fn first_difference(there: &Table, here: &Table) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use genesplat_train::{MethodConfig, MethodName};
-
-    use super::*;
-
-    #[test]
-    fn a_file_wins_over_what_a_command_does_without_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let iterations = |text: &str| {
-            let file = folder.path().join("config.toml");
-            std::fs::write(&file, text).unwrap();
-            let defaults = Table::from_iter([("iterations".to_owned(), Value::from(2000))]);
-            ConfigFile::read_over(&file, defaults).unwrap().train.iterations
-        };
-        assert_eq!((iterations("seed = 1"), iterations("iterations = 7")), (2000, 7));
-    }
-
-    #[test]
-    fn the_first_difference_is_named_with_both_values() {
-        let (dataset, train) = (Dataset::default(), TrainConfig::default());
-        let difference = |dataset: &Dataset, other: &TrainConfig| {
-            first_difference(&result_settings(&Dataset::default(), &train), &result_settings(dataset, other))
-        };
-        let elsewhere = Dataset { path: "elsewhere".into(), ..Dataset::default() };
-        let as_often = TrainConfig { checkpoint_every: 7, ..train.clone() };
-        assert_eq!(difference(&elsewhere, &as_often), None);
-
-        let small = Dataset { max_side: Some(64), ..dataset.clone() };
-        let said = difference(&small, &train);
-        assert_eq!(said.as_deref(), Some("dataset.max_side is not set there and 64 here"));
-        let mut other = train.clone();
-        other.method.capacity = 0.5;
-        let said = difference(&dataset, &other);
-        assert_eq!(said.as_deref(), Some("method.capacity is 1.0 there and 0.5 here"));
-        other.method = MethodConfig::of(MethodName::Mcmc);
-        let said = difference(&dataset, &other);
-        assert!(said.is_some_and(|said| said.starts_with("method.")));
-        let other = TrainConfig { max_gaussians: Some(9), seed: 4, ..train.clone() };
-        let said = difference(&dataset, &other);
-        assert_eq!(said.as_deref(), Some("seed is 0 there and 4 here"));
-    }
-
-    #[test]
-    fn settings_of_old_files_have_a_sentence_with_the_new_one() {
-        let refused = |text: &str| ConfigFile::from_table(text.parse().unwrap()).unwrap_err().message().to_owned();
-        for (old, new) in [
-            ("variant = \"mcmc\"", "[method] name = \"mcmc\""),
-            ("[evolution]\nmode = \"renew\"", "name = \"genesplat\""),
-            ("[evolution]\nmode = \"paper\"", "[genetic]"),
-            ("[densify]\nevery = 7", "[method]"),
-            ("[optimiser]\nscale = 7", "[method]"),
-            ("[mcmc]\nnoise = 7", "[method]"),
-            ("extent = 7", "leave it out"),
-        ] {
-            let sentence = refused(old);
-            assert!(sentence.contains(new), "{old}: {sentence}");
-        }
-    }
-}
+mod tests;

@@ -42,7 +42,9 @@ impl Splat {
         match (given, of_run) {
             (Some(given), _) => Ok(given.to_owned()),
             (None, Some(of_run)) if of_run.exists() => Ok(of_run.to_owned()),
-            (None, Some(of_run)) => bail!("the scene of the run, {}, is not there; give --data SCENE", shown(of_run)),
+            (None, Some(of_run)) => {
+                bail!("the scene of the run, {}, is not there; give --data SCENE", shown(of_run))
+            }
             (None, None) => bail!("a file does not say which scene it shows; give --data SCENE"),
         }
     }
@@ -55,7 +57,9 @@ impl Splat {
         let scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
         // Photos of another folder are asked for as such.
         let began_with = self.began_with.as_ref().filter(|_| asked.images.is_none());
-        began_with.into_iter().for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
+        began_with
+            .into_iter()
+            .for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
         Ok(scene)
     }
 
@@ -139,7 +143,8 @@ fn open_run(read: Read, folder: &Path) -> Result<Splat> {
     Ok(Splat { cloud, settings, trained_on: Some(config.dataset), began_with })
 }
 
-/// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
+/// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what
+/// to do.
 fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
     let [dataset, out, saved] = [&config.dataset.path, folder, &folder.join(CONFIG)].map(shown);
     let words = ["genesplat", "train", &dataset, "--out", &out];

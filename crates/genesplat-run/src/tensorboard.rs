@@ -1,8 +1,9 @@
 //! The curves of a run as TensorBoard reads them: `tensorboard/events.out.tfevents.genesplat`.
 //!
-//! The file is a series of TFRecords (a length, its checksum, bytes, their checksum), each a protobuf `Event` with one
-//! number of a curve. The sources are TensorFlow's `record_writer.h` and `event.proto`. A session that begins makes readers
-//! forget what lies at its first iteration and beyond, so a resumed run goes on where its checkpoint is.
+//! The file is a series of TFRecords (a length, its checksum, bytes, their checksum), each a protobuf `Event`
+//! with one number of a curve. The sources are TensorFlow's `record_writer.h` and `event.proto`. A session
+//! that begins makes readers forget what lies at its first iteration and beyond, so a resumed run goes on
+//! where its checkpoint is.
 
 use std::fs::File;
 use std::io::{self, BufWriter, ErrorKind, Write};
@@ -45,8 +46,8 @@ impl TensorBoard {
         Ok(board)
     }
 
-    /// Appends what the curves get from `record`, and hands it to the system. Where the file was removed and the run's folder
-    /// is there again, another one begins.
+    /// Appends what the curves get from `record`, and hands it to the system. Where the file was removed and
+    /// the run's folder is there again, another one begins.
     pub(crate) fn append(&mut self, record: &LogRecord) -> Result<()> {
         if !self.path.exists() && self.folder.exists() {
             *self = Self::open(&self.folder, false)?;
@@ -81,8 +82,9 @@ fn values(record: &LogRecord) -> (u32, Vec<(&'static str, f64)>) {
             (*iteration, psnr.map(|psnr| ("test_psnr", psnr)).into_iter().collect())
         }
         LogRecord::StageEnd(stage) => {
-            let guard =
-                stage.guard_psnr.map(|[before, after]| [("guard_psnr/before", before), ("guard_psnr/after", after)]);
+            let guard = stage
+                .guard_psnr
+                .map(|[before, after]| [("guard_psnr/before", before), ("guard_psnr/after", after)]);
             (stage.iteration, guard.into_iter().flatten().collect())
         }
         _ => (0, Vec::new()),
@@ -122,7 +124,10 @@ fn framed(content: &[u8]) -> Vec<u8> {
 /// CRC-32C (Castagnoli), turned and shifted as TFRecords have it.
 fn masked_crc(bytes: &[u8]) -> u32 {
     let of_byte = |crc: u32, byte: &u8| {
-        (0..8).fold(crc ^ u32::from(*byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0x82f6_3b78 } else { crc >> 1 })
+        (0..8).fold(
+            crc ^ u32::from(*byte),
+            |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0x82f6_3b78 } else { crc >> 1 },
+        )
     };
     let crc = !bytes.iter().fold(u32::MAX, of_byte);
     crc.rotate_right(15).wrapping_add(0xa282_ead8)

@@ -66,7 +66,8 @@ pub enum Ended {
 }
 
 impl Run<'_> {
-    /// Trains, saves, scores. What would end a run before its first step is found before an earlier one is replaced.
+    /// Trains, saves, scores. What would end a run before its first step is found before an earlier one is
+    /// replaced.
     pub fn execute(&self, session: &mut RunSession) -> Result<Ended> {
         let mut device = cluster::agree(self.cluster, self.check(session))?;
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
@@ -106,7 +107,8 @@ impl Run<'_> {
 
     fn open_log(&self, session: &mut RunSession) -> Result<Log> {
         session.begin(&self.settings.to_toml())?;
-        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
+        let curves =
+            self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
         Ok(Log::open(session.path(), session.resumes())?.with_curves(curves))
     }
 
@@ -180,7 +182,12 @@ impl Run<'_> {
         Ok(Ended::Whole(metrics))
     }
 
-    fn metrics(&self, summary: RunSummary, (test, train): (Evaluation, Evaluation), seconds: PhaseSeconds) -> Metrics {
+    fn metrics(
+        &self,
+        summary: RunSummary,
+        (test, train): (Evaluation, Evaluation),
+        seconds: PhaseSeconds,
+    ) -> Metrics {
         let config = self.settings.schedule.config();
         Metrics {
             schema: 2,
@@ -213,14 +220,16 @@ impl Run<'_> {
         session.write_results(&page, metrics)
     }
 
-    /// Scores of the test and training photos for the cloud that `device` holds; `None` where taking them was stopped.
+    /// Scores of the test and training photos for the cloud that `device` holds; `None` where taking them was
+    /// stopped.
     fn score(
         &self,
         session: &RunSession,
         device: &mut Device,
         summary: &RunSummary,
     ) -> Result<Option<(Evaluation, Evaluation)>> {
-        // Who stops a run waits for it, so few figures are taken, which must not be stopped by what stopped the run.
+        // Who stops a run waits for it, so few figures are taken, which must not be stopped by what stopped
+        // the run.
         let never = AtomicBool::new(false);
         let (train, lpips, stop) = match summary.interrupted {
             true => (&[][..], None, &never),
@@ -232,12 +241,15 @@ impl Run<'_> {
             let bar = bar("scores", 0, views.len() as u64);
             evaluate_until(stop, device, views, &settings, lpips, folder, bar)
         };
-        let Some(test) = score(&self.scene.test, session.writes().then_some(session.path()))? else { return Ok(None) };
+        let Some(test) = score(&self.scene.test, session.writes().then_some(session.path()))? else {
+            return Ok(None);
+        };
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 
     fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
-        let (dataset, out, saved) = (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
+        let (dataset, out, saved) =
+            (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
         let (config, command) = (self.settings.to_toml(), command_line(words));
         let (scene, timeline) = (self.scene, self.settings.schedule.timeline());

@@ -1,7 +1,7 @@
 //! The training algorithm: photos and points in, a cloud of Gaussians out.
 //!
-//! [`train`] is the loop of 3D Gaussian Splatting with the genetic search of "An Evolutionary Boost to Gaussian
-//! Splatting Optimization" in it; `pipeline.rs` reads like the paper. It is built on
+//! [`train`] is the loop of 3D Gaussian Splatting with the genetic search of "An Evolutionary Boost to
+//! Gaussian Splatting Optimization" in it; `pipeline.rs` reads like the paper. It is built on
 //! [`genesplat_core::Device`] and knows nothing of devices, files or windows: a [`Start`] goes in, an
 //! [`Observer`] listens, an [`Outcome`] comes out.
 //!

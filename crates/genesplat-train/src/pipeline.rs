@@ -1,15 +1,18 @@
 //! The whole algorithm, for every method alike: a walk along its [`crate::timeline`].
 //!
-//! 1. **Step.** A photo is picked, or a virtual view; render, `0.8 · L1 + 0.2 · (1 − SSIM)`, backward, statistics, Adam.
+//! 1. **Step.** A photo is picked, or a virtual view; render, `0.8 · L1 + 0.2 · (1 − SSIM)`, backward,
+//!    statistics, Adam.
 //! 2. **Densify.** The method decides which Gaussians are added and removed, and the device applies it.
 //! 3. **Reset.** Opacities fall to a small value, and gradients earn them anew.
-//! 4. **Search.** Just then, when the well-optimised structure is disturbed, a genetic algorithm searches positions,
-//!    scales and opacities that gradients do not reach; the best individual becomes the new base if it is better.
+//! 4. **Search.** Just then, when the well-optimised structure is disturbed, a genetic algorithm searches
+//!    positions, scales and opacities that gradients do not reach; the best individual becomes the new base
+//!    if it is better.
 //! 5. **Average.** The mean of the last states is the result.
 //!
-//! The run can stop between any two events: a resumed run repeats the numbers of one that was never interrupted.
-//! References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1); Kerbl et al., "3D
-//! Gaussian Splatting for Real-Time Radiance Field Rendering", 2023; each method's own file below `method/`.
+//! The run can stop between any two events: a resumed run repeats the numbers of one that was never
+//! interrupted. References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1);
+//! Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023; each method's own file
+//! below `method/`.
 
 use std::sync::atomic::AtomicBool;
 
@@ -26,8 +29,9 @@ use crate::timeline::{Event, Visit};
 
 /// Trains on `views` until the schedule ends or `stop` is set.
 ///
-/// A run that was stopped returns what it has, and a checkpoint that [`Start::Checkpoint`] resumes exactly. One whose
-/// device runs out of memory hands such a checkpoint to [`Observer::on_checkpoint`] before it fails.
+/// A run that was stopped returns what it has, and a checkpoint that [`Start::Checkpoint`] resumes exactly.
+/// One whose device runs out of memory hands such a checkpoint to [`Observer::on_checkpoint`] before it
+/// fails.
 pub fn train(
     backend: &mut dyn Device,
     views: &[View],
@@ -115,16 +119,21 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Fails at the end of the first pass over the photos where none has shown a Gaussian: the result would be a picture
-    /// of the background. Asks the device no more once one has.
+    /// Fails at the end of the first pass over the photos where none has shown a Gaussian: the result would
+    /// be a picture of the background. Asks the device no more once one has.
     fn look_for_gaussians(&mut self, i: u32) -> Result<(), TrainError> {
         if self.told.has_seen {
             return Ok(());
         }
         self.told.has_seen = self.backend.report()?.visible > 0;
-        let (views, last) = (self.run.views.len(), self.run.schedule.iterations.min(self.run.views.len() as u32));
+        let (views, last) =
+            (self.run.views.len(), self.run.schedule.iterations.min(self.run.views.len() as u32));
         let near = self.run.views.iter().map(|view| view.camera.near).fold(f64::INFINITY, f64::min);
-        if !self.told.has_seen && i >= last { Err(TrainError::NothingVisible { views, near }) } else { Ok(()) }
+        if !self.told.has_seen && i >= last {
+            Err(TrainError::NothingVisible { views, near })
+        } else {
+            Ok(())
+        }
     }
 
     fn refresh_virtual_views(&mut self, i: u32) -> Result<(), TrainError> {

@@ -6,8 +6,9 @@ use crate::config::TrainConfig;
 use crate::method::Method;
 use crate::timeline::{Event, Timeline, VirtualSteps, thousands};
 
-/// Every second step looks at a virtual view where photos are no more than this, every fourth where they are no more
-/// than twice as many, and so on. (Even, so that the iterations whose loss is logged, multiples of ten, look at photos.)
+/// Every second step looks at a virtual view where photos are no more than this, every fourth where they are
+/// no more than twice as many, and so on. (Even, so that the iterations whose loss is logged, multiples of
+/// ten, look at photos.)
 const PHOTOS_OF_HALF: u32 = 16;
 
 /// The rate of the base colour, in rates of the view-dependent colour (3DGS).
@@ -48,7 +49,8 @@ impl Schedule {
         self.config.render_settings(self.config.sh_degree)
     }
 
-    /// Degree of the spherical harmonics in iteration `i`: one more every thousand, from the start of that iteration.
+    /// Degree of the spherical harmonics in iteration `i`: one more every thousand, from the start of that
+    /// iteration.
     pub fn sh_degree(&self, i: u32) -> u8 {
         (i / self.timeline.sh_every).min(u32::from(self.config.sh_degree)) as u8
     }
@@ -58,8 +60,9 @@ impl Schedule {
         self.iterations.max(self.timeline.sh_every.saturating_mul(self.config.sh_degree.into()))
     }
 
-    /// Step sizes in iteration `i`; that of positions decays exponentially and scales with the scene. Gradients of `B`
-    /// views tell the direction `√B` times as well as those of one, so steps are as much longer.
+    /// Step sizes in iteration `i`; that of positions decays exponentially and scales with the scene.
+    /// Gradients of `B` views tell the direction `√B` times as well as those of one, so steps are as much
+    /// longer.
     pub fn rates(&self, extent: f64, i: u32) -> LearningRates {
         let method = &self.config.method;
         let (start, end) = (method.position_rate_start, method.position_rate_end);
@@ -77,8 +80,8 @@ impl Schedule {
         }
     }
 
-    /// What iteration `i` adds to the statistics; `signal` is the method's, if it has one. Gene gradients are summed
-    /// while a search that reads them lies ahead.
+    /// What iteration `i` adds to the statistics; `signal` is the method's, if it has one. Gene gradients are
+    /// summed while a search that reads them lies ahead.
     pub fn statistics(&self, signal: Option<DensitySignal>, i: u32) -> StatisticsRequest {
         let reads_genes = self.config.genetic.as_ref().is_some_and(|genetic| genetic.uses_gradients());
         let is_ahead = || self.timeline.last(Event::Search).is_some_and(|last| i <= last);

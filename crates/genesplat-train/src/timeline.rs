@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::config::{Background, TrainConfig};
 use crate::optimiser_step::OptimiserStep;
 
-/// A scaled run has no interval shorter than this, or than it was if that is less. Density control reads statistics of
-/// some hundred views; over fewer than a scene's photos it grows what the next photos do not need.
+/// A scaled run has no interval shorter than this, or than it was if that is less. Density control reads
+/// statistics of some hundred views; over fewer than a scene's photos it grows what the next photos do not
+/// need.
 pub(crate) const SCALED_INTERVAL_MIN: u32 = 100;
 
 /// Length of the run that published schedules are made for.
@@ -27,8 +28,8 @@ const POSITION_STEPS: u32 = 30_000;
 /// Iteration of the additional reset with a white background (3DGS).
 const WHITE_RESET_AT: u32 = 500;
 
-/// A run that is made to densify more often than this makes the optimiser steps that the reference would lose: if every
-/// iteration lost one, it would never learn anything.
+/// A run that is made to densify more often than this makes the optimiser steps that the reference would
+/// lose: if every iteration lost one, it would never learn anything.
 const LOSING_INTERVAL_MIN: u32 = 10;
 
 /// States between two twentieths of a run, of which the mean is taken.
@@ -185,7 +186,8 @@ pub(crate) enum Growth {
     Free,
     /// In proportion to the iterations, until the last densification.
     Even,
-    /// Improved-GS: full after `full` of the iterations that densification has; by their root, or another power.
+    /// Improved-GS: full after `full` of the iterations that densification has; by their root, or another
+    /// power.
     Ramp { full: [f64; 2], power: f64 },
 }
 
@@ -262,8 +264,11 @@ impl Timeline {
     pub(crate) fn of_3dgs(config: &TrainConfig, length: Length, densify_until: u32) -> Self {
         let (method, iterations) = (&config.method, length.iterations);
         let until = length.scaled(densify_until);
-        let densify =
-            Densification { from: length.scaled(DENSIFY_FROM), until, every: length.interval(method.densify_every) };
+        let densify = Densification {
+            from: length.scaled(DENSIFY_FROM),
+            until,
+            every: length.interval(method.densify_every),
+        };
         let mut timeline = Self {
             iterations,
             events: vec![(Event::Step, When::multiples(1, 1, iterations.saturating_add(1)))],
@@ -295,8 +300,8 @@ impl Timeline {
         self
     }
 
-    /// The mean of the last two fifths is the result, where the method's settings ask for it. (A window of a single
-    /// iteration would hold no state.)
+    /// The mean of the last two fifths is the result, where the method's settings ask for it. (A window of a
+    /// single iteration would hold no state.)
     pub(crate) fn with_averaging(mut self, config: &TrainConfig, length: Length) -> Self {
         let window = length.part(AVERAGED);
         if config.method.averaging && window > 1 {
@@ -389,7 +394,8 @@ impl Timeline {
         (f64::from(i) - from) * all / ((until - from) * full)
     }
 
-    /// Of the densifications after a reset, that of iteration `i` is the first when opacities have had time to recover.
+    /// Of the densifications after a reset, that of iteration `i` is the first when opacities have had time
+    /// to recover.
     pub(crate) fn has_recovered(&self, i: u32) -> bool {
         let Some(Recovery { after, .. }) = self.recovery else { return false };
         let since = (i - 1) % self.reset_every + 1;
@@ -409,10 +415,12 @@ impl Timeline {
 
     /// What Adam does in iteration `i`.
     ///
-    /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
-    /// have no gradients, so the step that follows does nothing. The last iteration makes no step.
+    /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets;
+    /// the new ones have no gradients, so the step that follows does nothing. The last iteration makes no
+    /// step.
     ///
-    /// A reset cuts a step of several views short, so that no gradient from before it moves an opacity after it.
+    /// A reset cuts a step of several views short, so that no gradient from before it moves an opacity after
+    /// it.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
         let loses = self.loses_steps
             && self.views_of_a_step(i) == 1
@@ -432,7 +440,9 @@ impl Timeline {
     /// What happens when, in words, a line for each event that happens at all.
     pub fn lines(&self) -> Vec<String> {
         let rows = self.events.iter().filter(|(event, when)| *event != Event::Step && !when.is_never());
-        rows.map(|(event, when)| format!("{} {}", event.words(), in_words(*when))).chain(self.other_lines()).collect()
+        rows.map(|(event, when)| format!("{} {}", event.words(), in_words(*when)))
+            .chain(self.other_lines())
+            .collect()
     }
 
     fn other_lines(&self) -> impl Iterator<Item = String> {
@@ -441,7 +451,8 @@ impl Timeline {
         let slow = format!("prune what recovered slowest from a reset at {}", recovered.join(", "));
         let degrees = format!("a degree more of the spherical harmonics every {}", thousands(self.sh_every));
         let steps = self.step_views.iter().filter(|&&(after, views)| views > 1 && after < self.iterations);
-        let steps = steps.map(|&(after, views)| format!("a step for every {views} photos after {}", thousands(after)));
+        let steps = steps
+            .map(|&(after, views)| format!("a step for every {views} photos after {}", thousands(after)));
         let slow = Some(slow).filter(|_| !recovered.is_empty());
         slow.into_iter().chain([degrees]).chain(steps.collect::<Vec<_>>())
     }

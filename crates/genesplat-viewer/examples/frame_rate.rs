@@ -1,5 +1,6 @@
 #![allow(clippy::print_stdout, reason = "an example prints what it measures")]
-//! How many pictures a second a page gets while nothing is trained: over the real socket, encoded as pages get them.
+//! How many pictures a second a page gets while nothing is trained: over the real socket, encoded as pages
+//! get them.
 //!
 //! `cargo run --release -p genesplat-viewer --example frame_rate [GAUSSIANS [WIDTH HEIGHT]]`
 
@@ -48,11 +49,13 @@ fn main() {
         let cloud = cloud(gaussians);
         let exhibition = Exhibition::new("frame rate", &[], &[], Some(&cloud));
         let address = ([127, 0, 0, 1], 0).into();
-        let mut live = LiveView::start(address, exhibition, false, Box::new(CpuBackend::new())).expect("a port");
+        let mut live =
+            LiveView::start(address, exhibition, false, Box::new(CpuBackend::new())).expect("a port");
         let mut backend = CpuBackend::new();
         backend.upload(cloud.into()).expect("memory");
         sender.send(live.url()).expect("it is awaited");
-        let mut sight = Sight::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
+        let mut sight =
+            Sight::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
         live.exhibit(&mut sight, || OVER.load(Ordering::Relaxed));
     });
     let mut page = connect(&receiver.recv().expect("a URL"));
@@ -70,7 +73,9 @@ fn main() {
         }
         let rate = f64::from(pictures) / began.elapsed().as_secs_f64();
         let size = bytes / pictures as usize / 1024;
-        println!("{mode:<9} {rate:5.1} pictures a second, {width}x{height}, {gaussians} Gaussians, {size} KiB each");
+        println!(
+            "{mode:<9} {rate:5.1} pictures a second, {width}x{height}, {gaussians} Gaussians, {size} KiB each"
+        );
     }
     OVER.store(true, Ordering::Relaxed);
     drop(page);

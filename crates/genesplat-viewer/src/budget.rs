@@ -1,6 +1,7 @@
 //! How much of the time pictures may take while a page is open: a credit that grows with the clock.
 
-/// Pictures of a run that trains take at most this share of the time that a page is open: with what sending them costs, 5 %.
+/// Pictures of a run that trains take at most this share of the time that a page is open: with what sending
+/// them costs, 5 %.
 const SHARE: f64 = 0.04;
 /// What is not spent is kept up to so many seconds, so that a movement after a rest is smooth.
 const CREDIT_MAX: f64 = 1.0;
@@ -34,7 +35,8 @@ impl Budget {
         self.credit >= 0.0
     }
 
-    /// A page that looks from where it did may have one of the cloud as it is now; some credit is kept for movements.
+    /// A page that looks from where it did may have one of the cloud as it is now; some credit is kept for
+    /// movements.
     pub fn allows_refresh(&self, now: f64) -> bool {
         self.last.is_none_or(|last| now - last >= REFRESH && self.credit >= RESERVE)
     }

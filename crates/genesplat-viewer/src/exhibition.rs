@@ -1,4 +1,5 @@
-//! What a page is told once: the scene's cameras, which way is up; and their photos, which it asks for one by one.
+//! What a page is told once: the scene's cameras, which way is up; and their photos, which it asks for one by
+//! one.
 
 use std::sync::OnceLock;
 
@@ -65,28 +66,42 @@ struct CameraCard<'a> {
 impl<'a> CameraCard<'a> {
     fn of(exhibit: &'a Exhibit) -> Self {
         let Camera { width, height, .. } = exhibit.view.camera;
-        Self { name: &exhibit.view.name, split: exhibit.split, width, height, pose: Pose::of(&exhibit.view.camera) }
+        Self {
+            name: &exhibit.view.name,
+            split: exhibit.split,
+            width,
+            height,
+            pose: Pose::of(&exhibit.view.camera),
+        }
     }
 }
 
 impl Exhibition {
-    /// A scene, photos in the order that they were taken in. `cloud` says what there is to turn around where there are
-    /// no cameras.
+    /// A scene, photos in the order that they were taken in. `cloud` says what there is to turn around where
+    /// there are no cameras.
     pub fn new(title: &str, train: &[View], test: &[View], cloud: Option<&Gaussians>) -> Self {
         let of = |split: Split, views: &[View]| -> Vec<Exhibit> {
-            views.iter().map(|view| Exhibit { split, view: view.clone(), thumbnail: OnceLock::new() }).collect()
+            views
+                .iter()
+                .map(|view| Exhibit { split, view: view.clone(), thumbnail: OnceLock::new() })
+                .collect()
         };
         let mut exhibits = of(Split::Train, train);
         exhibits.extend(of(Split::Test, test));
         exhibits.sort_by(|a, b| a.view.name.cmp(&b.view.name));
         let cameras: Vec<Camera> = exhibits.iter().map(|exhibit| exhibit.view.camera).collect();
         let of_cloud = || Framing::of_cloud(cloud.unwrap_or(&Gaussians::default()));
-        Self { title: title.into(), framing: Framing::of_cameras(&cameras).unwrap_or_else(of_cloud), exhibits }
+        Self {
+            title: title.into(),
+            framing: Framing::of_cameras(&cameras).unwrap_or_else(of_cloud),
+            exhibits,
+        }
     }
 
     pub(crate) fn hello(&self, can_train: bool) -> String {
         let cameras = self.exhibits.iter().map(CameraCard::of).collect();
-        let hello = Hello { title: &self.title, framing: self.framing, can_train, scale: css_gradient(), cameras };
+        let hello =
+            Hello { title: &self.title, framing: self.framing, can_train, scale: css_gradient(), cameras };
         serde_json::to_string(&hello).expect("plain data with text keys is always JSON")
     }
 

@@ -1,4 +1,5 @@
-//! Which way is up, and what to turn around: from the scene's cameras, or from the cloud where there are none.
+//! Which way is up, and what to turn around: from the scene's cameras, or from the cloud where there are
+//! none.
 
 use genesplat_core::{Camera, Gaussians, camera, median};
 use glam::{DMat3, DVec3};
@@ -24,13 +25,18 @@ impl Framing {
         let up = cameras.iter().map(|camera| -axes(camera).y_axis).sum::<DVec3>().try_normalize()?;
         let centre = nearest_to_axes(cameras).or_else(|| ahead(cameras))?;
         let distance = cameras.iter().map(|camera| camera.centre_in_world().distance(centre)).sum::<f64>();
-        Some(Self { up: up.into(), centre: centre.into(), distance: (distance / cameras.len() as f64).max(1e-3) })
+        Some(Self {
+            up: up.into(),
+            centre: centre.into(),
+            distance: (distance / cameras.len() as f64).max(1e-3),
+        })
     }
 
     /// COLMAP and its heirs have y down.
     pub fn of_cloud(cloud: &Gaussians) -> Self {
         let step = cloud.len().div_ceil(SAMPLE).max(1);
-        let sample: Vec<DVec3> = cloud.positions.iter().step_by(step).map(|p| DVec3::from(p.map(f64::from))).collect();
+        let sample: Vec<DVec3> =
+            cloud.positions.iter().step_by(step).map(|p| DVec3::from(p.map(f64::from))).collect();
         let middle = |axis: usize| median(sample.iter().map(|point| point[axis])).unwrap_or(0.0);
         let centre = DVec3::new(middle(0), middle(1), middle(2));
         let spread = median(sample.iter().map(|point| point.distance(centre))).unwrap_or(0.0);
@@ -64,7 +70,8 @@ mod tests {
 
     /// A camera at `position` with its y axis down the world's, turned by `yaw` about it.
     fn camera(position: [f64; 3], yaw: f64) -> Camera {
-        Pose { position, rotation: [(yaw / 2.0).cos(), 0.0, (yaw / 2.0).sin(), 0.0], fov_y: 1.0 }.camera(40, 30)
+        Pose { position, rotation: [(yaw / 2.0).cos(), 0.0, (yaw / 2.0).sin(), 0.0], fov_y: 1.0 }
+            .camera(40, 30)
     }
 
     #[test]

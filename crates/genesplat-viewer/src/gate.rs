@@ -1,8 +1,8 @@
 //! Who is let in: whoever knows the token of the address, and whose Host and Origin are ours.
 //!
-//! A token alone would keep strangers out, but addresses end up in histories. A server on loopback can be reached by
-//! any page that the user has open, under a name that its owner points at 127.0.0.1 (DNS rebinding): such a page sends
-//! its own name as Host, which is not on the list.
+//! A token alone would keep strangers out, but addresses end up in histories. A server on loopback can be
+//! reached by any page that the user has open, under a name that its owner points at 127.0.0.1 (DNS
+//! rebinding): such a page sends its own name as Host, which is not on the list.
 
 use std::net::IpAddr;
 
@@ -32,7 +32,8 @@ impl Gate {
         &self.token
     }
 
-    /// The path below the token, of a request that may be answered. Whoever opens a socket must say its origin.
+    /// The path below the token, of a request that may be answered. Whoever opens a socket must say its
+    /// origin.
     pub(crate) fn admit<'a>(&self, request: &'a Request) -> Result<&'a str, Status> {
         let host = request.header("host").ok_or(Status::BadRequest)?;
         let origin = request.header("origin");
@@ -88,14 +89,24 @@ mod tests {
         for host in ["127.0.0.1:7007", "localhost:9", "LOCALHOST", "[::1]:80", "127.0.0.2"] {
             assert_eq!(get(&page, &format!("Host: {host}\r\n")), Ok("main.js".into()), "{host}");
         }
-        for host in ["evil.example", "evil.example:7007", "127.0.0.1.evil.example", "192.168.1.4", "", "localhost.x:1"]
-        {
+        for host in [
+            "evil.example",
+            "evil.example:7007",
+            "127.0.0.1.evil.example",
+            "192.168.1.4",
+            "",
+            "localhost.x:1",
+        ] {
             assert_eq!(get(&page, &format!("Host: {host}\r\n")), Err(Status::Forbidden), "{host}");
         }
         assert_eq!(get(&page, ""), Err(Status::BadRequest));
         let host = "Host: localhost:7007\r\n";
         for origin in ["http://evil.example", "null", "http://localhost:1", "https://localhost:7007"] {
-            assert_eq!(get(&page, &format!("{host}Origin: {origin}\r\n")), Err(Status::Forbidden), "{origin}");
+            assert_eq!(
+                get(&page, &format!("{host}Origin: {origin}\r\n")),
+                Err(Status::Forbidden),
+                "{origin}"
+            );
         }
         assert!(get(&page, &format!("{host}Origin: http://localhost:7007\r\n")).is_ok());
         assert_eq!(get(&page, &format!("{host}Upgrade: websocket\r\n")), Err(Status::Forbidden), "no origin");

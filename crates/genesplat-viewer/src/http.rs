@@ -1,5 +1,5 @@
-//! As much of HTTP/1.1 as one page needs: a request's head, bounded in bytes and time, and an answer that ends the
-//! connection.
+//! As much of HTTP/1.1 as one page needs: a request's head, bounded in bytes and time, and an answer that
+//! ends the connection.
 
 use std::io::{self, Read, Write};
 
@@ -51,7 +51,8 @@ pub(crate) struct Request {
 impl Request {
     /// The header of this name, in small letters; `None` where there are several, which no browser sends.
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
-        let mut all = self.headers.iter().filter(|(header, _)| header == name).map(|(_, value)| value.as_str());
+        let mut all =
+            self.headers.iter().filter(|(header, _)| header == name).map(|(_, value)| value.as_str());
         all.next().filter(|_| all.next().is_none())
     }
 
@@ -60,8 +61,8 @@ impl Request {
     }
 }
 
-/// Reads a request from the bytes of a stranger, and returns it with the bytes that came after its head. `None` where
-/// the stranger hangs up, or is slower than the stream allows.
+/// Reads a request from the bytes of a stranger, and returns it with the bytes that came after its head.
+/// `None` where the stranger hangs up, or is slower than the stream allows.
 pub(crate) fn read_request(stream: &mut impl Read) -> Result<Option<(Request, Vec<u8>)>, Status> {
     let (mut bytes, mut part) = (Vec::new(), [0; 1024]);
     loop {
@@ -100,14 +101,19 @@ pub(crate) fn respond(stream: &mut impl Write, kind: &str, body: &[u8]) -> io::R
 pub(crate) fn refuse(stream: &mut impl Write, status: Status) -> io::Result<()> {
     let sentence = match status {
         Status::Busy => "Too many pages are open; close one.",
-        Status::Forbidden => "Open the address that genesplat printed, by this machine's IP number, not by its name.",
+        Status::Forbidden => {
+            "Open the address that genesplat printed, by this machine's IP number, not by its name."
+        }
         _ => "There is nothing here. Open the whole address that genesplat printed.",
     };
     write_response(stream, status.line(), "text/plain; charset=utf-8", sentence.as_bytes())
 }
 
 fn write_response(stream: &mut impl Write, status: &str, kind: &str, body: &[u8]) -> io::Result<()> {
-    let head = format!("HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\n{HEADERS}\r\n", body.len());
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\n{HEADERS}\r\n",
+        body.len()
+    );
     stream.write_all(head.as_bytes())?;
     stream.write_all(body)?;
     stream.flush()
@@ -121,7 +127,10 @@ mod tests {
     fn heads_are_read_piece_by_piece_and_bounded() {
         let head = b"GET /a/b?c HTTP/1.1\r\nHost: x\r\nUPGRADE: WebSocket\r\n\r\nrest";
         let (request, rest) = read_request(&mut &head[..]).unwrap().unwrap();
-        assert_eq!((request.path.as_str(), request.header("host"), request.is_upgrade()), ("/a/b?c", Some("x"), true));
+        assert_eq!(
+            (request.path.as_str(), request.header("host"), request.is_upgrade()),
+            ("/a/b?c", Some("x"), true)
+        );
         assert_eq!(rest, b"rest");
         assert!((0..head.len() - 4).all(|end| parse_head(&head[..end]).unwrap().is_none()));
         let endless = [b"GET / HTTP/1.1\r\nA: ".as_slice(), &[b'x'; HEAD_BYTES_MAX]].concat();
@@ -139,6 +148,8 @@ mod tests {
     fn who_comes_by_a_name_is_told_to_come_by_a_number() {
         let mut answer = Vec::new();
         refuse(&mut answer, Status::Forbidden).unwrap();
-        assert!(String::from_utf8(answer).unwrap().ends_with("by this machine's IP number, not by its name."));
+        assert!(
+            String::from_utf8(answer).unwrap().ends_with("by this machine's IP number, not by its name.")
+        );
     }
 }

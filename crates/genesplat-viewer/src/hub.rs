@@ -1,5 +1,5 @@
-//! Where the threads of the pages and the one that renders meet: slots that hold the newest only, so that neither waits
-//! for the other.
+//! Where the threads of the pages and the one that renders meet: slots that hold the newest only, so that
+//! neither waits for the other.
 
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};

@@ -1,7 +1,8 @@
-//! The live page: whoever trains looks at the splat meanwhile, in a browser, over one WebSocket. And a page to send.
+//! The live page: whoever trains looks at the splat meanwhile, in a browser, over one WebSocket. And a page
+//! to send.
 //!
-//! The device that trains renders, and the page shows JPEG pictures, so that a laptop sees over ssh exactly what is
-//! trained. Nothing here makes training wait but the pictures themselves, which keep to a [`Budget`].
+//! The device that trains renders, and the page shows JPEG pictures, so that a laptop sees over ssh exactly
+//! what is trained. Nothing here makes training wait but the pictures themselves, which keep to a [`Budget`].
 //!
 //! | part | what it is |
 //! |---|---|
@@ -48,7 +49,9 @@ pub use live::{LiveView, Owner, Phase};
 #[non_exhaustive]
 pub enum ViewerError {
     /// The address cannot be listened on.
-    #[error("the page cannot be served at {address}: {source}; choose another --view-address, or leave it out")]
+    #[error(
+        "the page cannot be served at {address}: {source}; choose another --view-address, or leave it out"
+    )]
     Listen {
         /// What was asked for.
         address: std::net::SocketAddr,

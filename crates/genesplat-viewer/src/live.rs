@@ -87,8 +87,8 @@ struct Stage {
     gain: Option<f64>,
 }
 
-/// A page that is served while this lives. All methods are for the thread that trains, and return at once where no page
-/// is open.
+/// A page that is served while this lives. All methods are for the thread that trains, and return at once
+/// where no page is open.
 pub struct LiveView {
     server: Server,
     clock: Clock,
@@ -104,7 +104,8 @@ pub struct LiveView {
 }
 
 impl LiveView {
-    /// Serves at `address`; port 0 takes any that is free. Without `can_train` the page has no buttons that steer a run.
+    /// Serves at `address`; port 0 takes any that is free. Without `can_train` the page has no buttons that
+    /// steer a run.
     pub fn start(
         address: SocketAddr,
         exhibition: Exhibition,
@@ -137,7 +138,8 @@ impl LiveView {
 
     /// A run of so many iterations begins.
     pub fn begin(&mut self, device: &str, gaussians: usize, iterations: u32) {
-        (self.state.device, self.state.gaussians, self.state.iterations) = (device.to_owned(), gaussians, iterations);
+        (self.state.device, self.state.gaussians, self.state.iterations) =
+            (device.to_owned(), gaussians, iterations);
         self.post(true);
     }
 
@@ -203,7 +205,8 @@ impl LiveView {
         has_wish || (self.budget.allows_new() && self.hub().is_awaited(self.budget.allows_refresh(now)))
     }
 
-    /// Does what is due: a picture; what a page has asked of `owner`; and waits while pages want the run to wait.
+    /// Does what is due: a picture; what a page has asked of `owner`; and waits while pages want the run to
+    /// wait.
     pub fn attend(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
         if self.budget.allows_new() {
             let began = self.clock.seconds();
@@ -229,7 +232,8 @@ impl LiveView {
         }
     }
 
-    /// Nothing is trained: pictures have all the time, until pages want the run to go on, or all of them are gone.
+    /// Nothing is trained: pictures have all the time, until pages want the run to go on, or all of them are
+    /// gone.
     fn rest(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
         self.set_phase(Phase::Paused);
         while self.hub().wishes().paused && !owner.is_stopped() && !self.hub().is_deserted() {
@@ -259,7 +263,9 @@ impl LiveView {
     fn snapshot(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) -> String {
         let wait = snapshot_wait(self.saved, self.clock.seconds());
         if wait > 0 {
-            return format!("no snapshot yet: one is saved in {SNAPSHOT_EVERY} seconds at most; try again in {wait}");
+            return format!(
+                "no snapshot yet: one is saved in {SNAPSHOT_EVERY} seconds at most; try again in {wait}"
+            );
         }
         let sentence = owner.snapshot(sight);
         self.saved = Some(self.clock.seconds());
@@ -337,7 +343,8 @@ impl LiveView {
         if at_once || now - self.posted[0] >= STATE_EVERY {
             self.posted[0] = now;
             self.state.snapshot_wait = snapshot_wait(self.saved, now);
-            self.hub().post(Topic::State, &serde_json::to_string(&self.state).expect("numbers and texts are JSON"));
+            self.hub()
+                .post(Topic::State, &serde_json::to_string(&self.state).expect("numbers and texts are JSON"));
         }
         if at_once || now - self.posted[1] >= CURVES_EVERY {
             self.posted[1] = now;

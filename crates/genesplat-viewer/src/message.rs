@@ -164,7 +164,8 @@ pub(crate) fn notice(text: &str) -> String {
     serde_json::to_string(&Notice { text }).expect("plain data with text keys is always JSON")
 }
 
-/// What stands before a picture: its length as four bytes, little end first, then this as JSON, then the JPEG.
+/// What stands before a picture: its length as four bytes, little end first, then this as JSON, then the
+/// JPEG.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PictureHeader {
     /// Of the [`Look`] that asked for it.
@@ -187,7 +188,10 @@ mod tests {
     #[test]
     fn a_look_is_read_and_what_no_page_sends_is_refused() {
         let Ok(ClientMessage::Look(look)) = ClientMessage::parse(LOOK.as_bytes()) else { panic!("{LOOK}") };
-        assert_eq!((look.sequence, look.camera, look.render_mode, look.error), (7, None, RenderMode::Depth, false));
+        assert_eq!(
+            (look.sequence, look.camera, look.render_mode, look.error),
+            (7, None, RenderMode::Depth, false)
+        );
         let spoilt = [
             ("320", "8", "the size"),
             ("320", "5000", "the size"),

@@ -1,5 +1,5 @@
-//! Camera paths: around the scene, in a spiral in front of it, through its own cameras, or through views that were kept
-//! on the page.
+//! Camera paths: around the scene, in a spiral in front of it, through its own cameras, or through views that
+//! were kept on the page.
 
 use std::f64::consts::TAU;
 
@@ -73,13 +73,15 @@ impl CameraPath {
     pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
         let Framing { up, centre, distance } = Framing::of_cameras(cameras).ok_or(PathError::NoCameras)?;
         let (up, centre) = (DVec3::from(up), DVec3::from(centre));
-        let mean_height = cameras.iter().map(|camera| (camera.centre_in_world() - centre).dot(up)).sum::<f64>();
+        let mean_height =
+            cameras.iter().map(|camera| (camera.centre_in_world() - centre).dot(up)).sum::<f64>();
         let height = (mean_height / cameras.len() as f64).clamp(-0.9 * distance, 0.9 * distance);
         let radius = (distance * distance - height * height).sqrt();
         let start = (cameras[0].centre_in_world() - centre).reject_from_normalized(up);
         let ahead = start.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
         let views = (0..16).map(|step| DQuat::from_axis_angle(up, TAU * f64::from(step) / 16.0) * ahead);
-        let views = views.map(|away| looking_at(centre + up * height + away * radius, centre, up, fov_y(cameras)));
+        let views =
+            views.map(|away| looking_at(centre + up * height + away * radius, centre, up, fov_y(cameras)));
         Ok(Self { views: views.collect(), is_closed: true })
     }
 
@@ -194,7 +196,10 @@ mod tests {
         let expected = 10_f64.sqrt();
         for (frame, camera) in cameras.iter().enumerate() {
             let seen = camera.camera_from_world(centre);
-            assert!((seen.z - expected).abs() < 0.02 && seen.x.abs() + seen.y.abs() < 0.02, "{frame}: {seen}");
+            assert!(
+                (seen.z - expected).abs() < 0.02 && seen.x.abs() + seen.y.abs() < 0.02,
+                "{frame}: {seen}"
+            );
             let above = camera.camera_from_world(centre - DVec3::Y);
             assert!(above.y < seen.y, "{frame}: it stands on its head");
         }
@@ -217,8 +222,9 @@ mod tests {
     #[test]
     fn files_are_read_and_refused_with_a_sentence() {
         let view = r#"{"position":[0,0,1],"rotation":[1,0,0,0],"fov_y":0.9}"#;
-        let file =
-            |version: u32, views: &[&str]| format!(r#"{{"genesplat_path":{version},"views":[{}]}}"#, views.join(","));
+        let file = |version: u32, views: &[&str]| {
+            format!(r#"{{"genesplat_path":{version},"views":[{}]}}"#, views.join(","))
+        };
         let parse = |text: String| CameraPath::parse(text.as_bytes());
         assert_eq!(parse(file(1, &[view, view])).unwrap().cameras(4, 64, 48).len(), 4);
         assert_eq!(parse(file(2, &[view, view])), Err(PathError::Version(2)));

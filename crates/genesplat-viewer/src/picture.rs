@@ -29,7 +29,8 @@ fn span(at: u32, of: u32, from: u32) -> Range<u32> {
     begin..end.clamp(begin + 1, from)
 }
 
-/// The photo at another size; each pixel is the mean of what it covers, or the nearest where it covers less than one.
+/// The photo at another size; each pixel is the mean of what it covers, or the nearest where it covers less
+/// than one.
 pub(crate) fn resized(photo: &Photo, width: u32, height: u32) -> Photo {
     if (width, height) == (photo.width, photo.height) {
         return photo.clone();
@@ -57,7 +58,8 @@ fn mean(photo: &Photo, columns: Range<u32>, rows: Range<u32>) -> [u8; 3] {
 /// A picture of values on the colour scale: 0 is dark, 1 is bright.
 pub(crate) fn coloured(width: u32, height: u32, values: impl Iterator<Item = Option<f32>>) -> Photo {
     let table: Vec<[u8; 3]> = (0..=255).map(|step| colour(step as f32 / 255.0)).collect();
-    let pixel = |value: Option<f32>| value.map_or(NOTHING, |value| table[(value.clamp(0.0, 1.0) * 255.0) as usize]);
+    let pixel =
+        |value: Option<f32>| value.map_or(NOTHING, |value| table[(value.clamp(0.0, 1.0) * 255.0) as usize]);
     Photo { width, height, rgb: values.flat_map(pixel).collect() }
 }
 
@@ -71,8 +73,8 @@ fn colour(value: f32) -> [u8; 3] {
     })
 }
 
-/// Where `render` differs from the photo of `view`: the mean difference of the channels, bright at [`ERROR_MAX`]. What a mask
-/// hides has none.
+/// Where `render` differs from the photo of `view`: the mean difference of the channels, bright at
+/// [`ERROR_MAX`]. What a mask hides has none.
 pub(crate) fn error_picture(render: &Photo, view: &View) -> Result<Photo, PhotoLost> {
     let Photo { width, height, .. } = *render;
     let photo = resized(&*view.photo.read()?, width, height);
@@ -81,9 +83,14 @@ pub(crate) fn error_picture(render: &Photo, view: &View) -> Result<Photo, PhotoL
         sum as f32 / (3.0 * 255.0) / ERROR_MAX
     });
     let covered = |x, y| [span(x, width, view.photo.width()), span(y, height, view.photo.height())];
-    let is_counted = |(x, y)| view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width(), covered(x, y)));
+    let is_counted =
+        |(x, y)| view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width(), covered(x, y)));
     let counted = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(is_counted);
-    Ok(coloured(width, height, differences.zip(counted).map(|(difference, counts)| counts.then_some(difference))))
+    Ok(coloured(
+        width,
+        height,
+        differences.zip(counted).map(|(difference, counts)| counts.then_some(difference)),
+    ))
 }
 
 /// Whether all of these columns and rows count.
@@ -132,23 +139,33 @@ mod tests {
 
     #[test]
     fn errors_are_bright_where_pictures_differ() {
-        let (grey, spot) = (photo(4, 4, |_, _| [90; 3]), photo(4, 4, |x, _| [if x == 2 { 250 } else { 90 }; 3]));
+        let (grey, spot) =
+            (photo(4, 4, |_, _| [90; 3]), photo(4, 4, |x, _| [if x == 2 { 250 } else { 90 }; 3]));
         let camera = Camera::at_origin(4, 4, 4.0);
         let mut view = View { name: String::new(), camera, photo: spot.into(), mask: None };
         let errors = error_picture(&grey, &view).unwrap();
         assert_eq!((errors.pixel(2, 1), errors.pixel(1, 1)), (colour(1.0), colour(0.0)));
         view.mask = Some(Arc::new(Mask { counts: (0..16).map(|pixel| pixel != 6).collect() }));
         let errors = error_picture(&grey, &view).unwrap();
-        assert_eq!((errors.pixel(2, 1), errors.pixel(2, 2)), (NOTHING, colour(1.0)), "what a mask hides has no error");
+        assert_eq!(
+            (errors.pixel(2, 1), errors.pixel(2, 2)),
+            (NOTHING, colour(1.0)),
+            "what a mask hides has no error"
+        );
         let half = photo(2, 2, |_, _| [90; 3]);
-        assert_eq!(error_picture(&half, &view).unwrap().pixel(1, 0), NOTHING, "nor has what it hides a part of");
+        assert_eq!(
+            error_picture(&half, &view).unwrap().pixel(1, 0),
+            NOTHING,
+            "nor has what it hides a part of"
+        );
     }
 
     #[test]
     fn a_jpeg_is_one_and_the_scale_grows_brighter() {
         let jpeg = encode_jpeg(&photo(20, 10, |x, y| [x as u8, y as u8, 7]), 80);
         assert!(jpeg.starts_with(&[0xff, 0xd8, 0xff]));
-        let brightness = |step: usize| colour(step as f32 / 8.0).iter().map(|&value| u32::from(value)).sum::<u32>();
+        let brightness =
+            |step: usize| colour(step as f32 / 8.0).iter().map(|&value| u32::from(value)).sum::<u32>();
         assert!((0..8).all(|step| brightness(step) < brightness(step + 1)));
         assert_eq!(css_gradient().matches("rgb(").count(), SCALE.len());
         assert_eq!(high_quantile((0..100).map(|value| value as f32)), Some(98.0));

@@ -1,7 +1,8 @@
 //! Places for connections: those who have shown the token have their own, which nobody else can take.
 //!
-//! Whoever reaches the port can open connections and say nothing. They get a few places, and each who comes when all are taken
-//! puts out the one who came first: who has the token says so at once, and has a place of the others by then.
+//! Whoever reaches the port can open connections and say nothing. They get a few places, and each who comes
+//! when all are taken puts out the one who came first: who has the token says so at once, and has a place of
+//! the others by then.
 
 use std::collections::VecDeque;
 use std::io;
@@ -38,14 +39,16 @@ pub(crate) struct Place {
 }
 
 impl Places {
-    /// A place for a stranger; where all are taken, whoever came first is put out. `None` where that one does not leave.
+    /// A place for a stranger; where all are taken, whoever came first is put out. `None` where that one does
+    /// not leave.
     pub(crate) fn enter(self: &Arc<Self>, stream: &TcpStream) -> io::Result<Option<Place>> {
         let handle = stream.try_clone()?;
         let mut inner = self.lock();
         if let Some((_, first)) = inner.strangers.front().filter(|_| inner.strangers.len() >= STRANGERS_MAX) {
             // One that has ended cannot be shut down, and is leaving.
             let _ = first.shutdown(Shutdown::Both);
-            inner = self.wait(inner, Instant::now() + LEAVE_WAIT, |inner| inner.strangers.len() < STRANGERS_MAX);
+            inner =
+                self.wait(inner, Instant::now() + LEAVE_WAIT, |inner| inner.strangers.len() < STRANGERS_MAX);
         }
         if inner.strangers.len() >= STRANGERS_MAX {
             return Ok(None);
@@ -58,7 +61,9 @@ impl Places {
 
     /// Until all connections have ended, at most so long.
     pub(crate) fn wait_until_empty(&self, at_most: Duration) {
-        drop(self.wait(self.lock(), Instant::now() + at_most, |inner| inner.admitted + inner.strangers.len() == 0));
+        drop(self.wait(self.lock(), Instant::now() + at_most, |inner| {
+            inner.admitted + inner.strangers.len() == 0
+        }));
     }
 
     fn wait<'a>(
@@ -143,7 +148,8 @@ mod tests {
             assert!(admitted.last_mut().unwrap().admit());
         }
         let of_strangers = connections.len();
-        let mut strangers: VecDeque<Option<Place>> = (0..STRANGERS_MAX).map(|_| enter(&mut connections)).collect();
+        let mut strangers: VecDeque<Option<Place>> =
+            (0..STRANGERS_MAX).map(|_| enter(&mut connections)).collect();
         assert!(strangers.iter().all(Option::is_some));
         assert!(!strangers[0].as_mut().unwrap().admit(), "there is no place left");
 
@@ -160,7 +166,11 @@ mod tests {
         assert!(enter(&mut connections).is_none());
 
         connections[0].1.set_nonblocking(true).unwrap();
-        assert_eq!(connections[0].1.read(&mut [0]).unwrap_err().kind(), io::ErrorKind::WouldBlock, "it is open");
+        assert_eq!(
+            connections[0].1.read(&mut [0]).unwrap_err().kind(),
+            io::ErrorKind::WouldBlock,
+            "it is open"
+        );
         drop(admitted);
         assert!(strangers[1].as_mut().unwrap().admit());
         drop(strangers);

@@ -1,5 +1,5 @@
-//! Depth, counts, points and ellipses without a renderer of their own: each is a cloud derived from the real one, which
-//! an ordinary renderer shows, and a way to read its picture.
+//! Depth, counts, points and ellipses without a renderer of their own: each is a cloud derived from the real
+//! one, which an ordinary renderer shows, and a way to read its picture.
 
 use genesplat_core::backend::RenderSettings;
 use genesplat_core::constants::{ALPHA_MIN, CLASSIC_DILATION};
@@ -28,12 +28,13 @@ pub enum RenderMode {
     Ellipses,
 }
 
-/// In a cloud that is counted, alphas lie between 1/255 and `e^COUNT_SPREAD` times that: nearly the same, so that the
-/// logarithm of the transmittance counts.
+/// In a cloud that is counted, alphas lie between 1/255 and `e^COUNT_SPREAD` times that: nearly the same, so
+/// that the logarithm of the transmittance counts.
 const COUNT_SPREAD: f32 = 0.05;
 /// Standard deviation of a point, px.
 const POINT_PX: f64 = 0.7;
-/// An ellipsoid's standard deviations, of those of the Gaussian: smaller, so that neighbours can be told apart.
+/// An ellipsoid's standard deviations, of those of the Gaussian: smaller, so that neighbours can be told
+/// apart.
 const ELLIPSE_SCALE: f32 = 0.4;
 /// Gaussians below this opacity are no points and no ellipsoids: haze would hide the rest.
 const SHOWN_OPACITY: f32 = 0.05;
@@ -124,8 +125,8 @@ fn derive_row(mode: RenderMode, scales: [f32; 3], opacity: f32, depth: f64, foca
     }
 }
 
-/// A flat disc in place of the Gaussian, which ends where its alpha falls below 1/255: the screen's dilation becomes
-/// part of the scales, before these grow.
+/// A flat disc in place of the Gaussian, which ends where its alpha falls below 1/255: the screen's dilation
+/// becomes part of the scales, before these grow.
 fn count_row(scales: [f32; 3], opacity: f32, pixel: f32) -> Option<Row> {
     let reach_squared = 2.0 * (opacity / ALPHA_MIN).ln();
     if reach_squared <= 0.0 {
@@ -174,7 +175,8 @@ pub fn develop(mode: RenderMode, render: &Image) -> (Photo, Option<[f32; 2]>) {
 /// Near is bright; the scale is logarithmic.
 fn depth_picture(render: &Image, depths: &[Option<f32>]) -> (Photo, Option<[f32; 2]>) {
     let far = high_quantile(depths.iter().copied().flatten()).unwrap_or(1.0);
-    let near = high_quantile(depths.iter().copied().flatten().map(|depth| -depth)).map_or(1.0, |depth| -depth);
+    let near =
+        high_quantile(depths.iter().copied().flatten().map(|depth| -depth)).map_or(1.0, |depth| -depth);
     let span = (far / near).ln().max(1e-3);
     let share = |depth: &Option<f32>| depth.map(|depth| 1.0 - (depth / near).ln() / span);
     (coloured(render.width, render.height, depths.iter().map(share)), Some([near, far]))

@@ -42,7 +42,11 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    pub(crate) fn start(address: SocketAddr, exhibition: Exhibition, can_train: bool) -> Result<Self, ViewerError> {
+    pub(crate) fn start(
+        address: SocketAddr,
+        exhibition: Exhibition,
+        can_train: bool,
+    ) -> Result<Self, ViewerError> {
         let listen = |source| ViewerError::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
@@ -71,8 +75,10 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.shared.hub.close();
         // Wakes the thread that accepts.
-        let _ =
-            TcpStream::connect_timeout(&SocketAddr::new(reachable(self.address.ip()), self.address.port()), CLOSE_WAIT);
+        let _ = TcpStream::connect_timeout(
+            &SocketAddr::new(reachable(self.address.ip()), self.address.port()),
+            CLOSE_WAIT,
+        );
         if let Some(acceptor) = self.acceptor.take() {
             let _ = acceptor.join();
         }
@@ -89,7 +95,8 @@ fn reachable(address: IpAddr) -> IpAddr {
     }
 }
 
-/// The same that other machines reach, too, where one is known: a datagram to an address of documentation would leave from it.
+/// The same that other machines reach, too, where one is known: a datagram to an address of documentation
+/// would leave from it.
 fn outward(address: IpAddr) -> IpAddr {
     let of_route = |from: IpAddr, to: IpAddr| {
         let socket = UdpSocket::bind((from, 0)).ok()?;
@@ -173,7 +180,11 @@ struct Hurried<'a> {
 
 impl std::io::Read for Hurried<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        if Instant::now() >= self.by { Err(std::io::ErrorKind::TimedOut.into()) } else { self.stream.read(buffer) }
+        if Instant::now() >= self.by {
+            Err(std::io::ErrorKind::TimedOut.into())
+        } else {
+            self.stream.read(buffer)
+        }
     }
 }
 
@@ -212,7 +223,8 @@ mod tests {
         let own = outward(Ipv4Addr::UNSPECIFIED.into());
         assert!(TcpStream::connect((own, listener.local_addr().unwrap().port())).is_ok(), "{own}");
         // A machine without a network has no address but its own.
-        let has_route = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap().connect(("192.0.2.1", 9)).is_ok();
+        let has_route =
+            UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap().connect(("192.0.2.1", 9)).is_ok();
         assert_ne!(own.is_loopback(), has_route);
     }
 }

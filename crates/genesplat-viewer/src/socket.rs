@@ -69,7 +69,8 @@ impl Write for TimedStream {
     }
 }
 
-/// Tells the page what it should know until either side ends it. `rest` are bytes that came after the handshake.
+/// Tells the page what it should know until either side ends it. `rest` are bytes that came after the
+/// handshake.
 pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, exhibition: &Exhibition, can_train: bool) {
     let Ok(stream) = TimedStream::new(stream, READ_WAIT, WRITE_WAIT) else { return };
     let config = WebSocketConfig::default()
@@ -83,7 +84,8 @@ pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, exhibition: &Ex
     let _ = match hub.enter() {
         Some(id) => {
             let _leave = Leave { hub, id };
-            let mut page = Page { socket, hub, id, garbage: 0, heard: Instant::now(), pinged: Instant::now() };
+            let mut page =
+                Page { socket, hub, id, garbage: 0, heard: Instant::now(), pinged: Instant::now() };
             page.run(exhibition.hello(can_train))
         }
         None => turn_away(&mut socket, hub),

@@ -1,7 +1,7 @@
 //! A page to send: one file that holds a splat and draws it, without a server and without a network.
 //!
-//! The splat is carried as `.spz` of version 3, whose gzip browsers undo by themselves. A page from the disk may load no
-//! modules, so they are data in its import map; and its own policy forbids it all connections.
+//! The splat is carried as `.spz` of version 3, whose gzip browsers undo by themselves. A page from the disk
+//! may load no modules, so they are data in its import map; and its own policy forbids it all connections.
 //!
 //! The page is in the frame of `.spz`, y up and z back: half a turn about x from the cloud's own.
 
@@ -95,7 +95,8 @@ struct Card<'a> {
 /// The camera that sees what a thumbnail shows.
 pub fn thumbnail_camera(camera: &Camera) -> Camera {
     let factor = f64::from(THUMBNAIL_PX) / f64::from(camera.width.max(camera.height));
-    let [width, height] = [camera.width, camera.height].map(|side| (f64::from(side) * factor.min(1.0)).round() as u32);
+    let [width, height] =
+        [camera.width, camera.height].map(|side| (f64::from(side) * factor.min(1.0)).round() as u32);
     camera.resized(width.max(1), height.max(1))
 }
 
@@ -160,7 +161,8 @@ fn turned([x, y, z]: [f64; 3]) -> [f64; 3] {
     [x, -y, -z]
 }
 
-/// The import map. Modules that are data have no place from which "./" could lead anywhere, so they go by bare names.
+/// The import map. Modules that are data have no place from which "./" could lead anywhere, so they go by
+/// bare names.
 fn modules() -> String {
     let address = |source: &str| data("text/javascript", source.replace("from \"./", "from \"").as_bytes());
     let imports: serde_json::Map<_, _> =
@@ -182,7 +184,8 @@ fn escaped(text: &str) -> String {
 
 /// `template` with a value for each `{name}`, and nothing else: what is in a value stays as it is.
 fn fill(template: &str, values: &[(&str, &str)]) -> String {
-    let mut filled = String::with_capacity(template.len() + values.iter().map(|(_, value)| value.len()).sum::<usize>());
+    let mut filled =
+        String::with_capacity(template.len() + values.iter().map(|(_, value)| value.len()).sum::<usize>());
     let mut parts = template.split('{');
     filled += parts.next().unwrap_or_default();
     for part in parts {
@@ -246,7 +249,8 @@ mod tests {
     #[test]
     fn the_page_is_half_a_turn_about_x_from_the_cloud() {
         let page = page("a");
-        let scene = page.split("id=\"scene\">").nth(1).and_then(|rest| rest.split("</script>").next()).unwrap();
+        let scene =
+            page.split("id=\"scene\">").nth(1).and_then(|rest| rest.split("</script>").next()).unwrap();
         let scene: serde_json::Value = serde_json::from_str(scene).unwrap();
         assert_eq!(scene["up"], serde_json::json!([0.0, 1.0, 0.0]));
         assert_eq!(scene["near"], 0.004, "as its cameras have it");

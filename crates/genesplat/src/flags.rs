@@ -70,11 +70,12 @@ impl VolumeArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = MORE)]
 pub struct LpipsArgs {
-    /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS names,
-    /// else those that `genesplat evaluate --install-lpips` has put in place]
+    /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS
+    /// names, else those that `genesplat evaluate --install-lpips` has put in place]
     #[arg(long, value_name = "FILE|FOLDER")]
     pub lpips_weights: Option<PathBuf>,
-    /// Leave LPIPS out, though its weights are there: it takes about 2.5 seconds of a core for a photo of 512x512
+    /// Leave LPIPS out, though its weights are there: it takes about 2.5 seconds of a core for a photo of
+    /// 512x512
     #[arg(long)]
     pub no_lpips: bool,
 }
@@ -103,8 +104,8 @@ impl JsonArgs {
 /// How large photos are loaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Args)]
 pub struct SizeArgs {
-    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to
-    /// 1600]. Smaller trains faster and shows less detail
+    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are
+    /// reduced, to 1600]. Smaller trains faster and shows less detail
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
     pub max_side: Option<u32>,
     /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
@@ -126,15 +127,24 @@ impl SizeArgs {
 
 /// `--device`.
 const DEVICES: &[Choice<DeviceChoice>] = &[
-    (DeviceChoice::Auto, &["auto"], "The graphics card if this machine has one that can be used, else the processor"),
+    (
+        DeviceChoice::Auto,
+        &["auto"],
+        "The graphics card if this machine has one that can be used, else the processor",
+    ),
     (DeviceChoice::Cpu, &["cpu"], "All cores of the processor"),
-    (DeviceChoice::Gpu, &["gpu"], "The best graphics device with a Vulkan, Metal or DX12 driver, even one in software"),
+    (
+        DeviceChoice::Gpu,
+        &["gpu"],
+        "The best graphics device with a Vulkan, Metal or DX12 driver, even one in software",
+    ),
 ];
 
 /// Which machine power to use.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct MachineArgs {
-    /// Where to compute; results do not depend on the number of threads, but may on the kind of device [default: auto]
+    /// Where to compute; results do not depend on the number of threads, but may on the kind of device
+    /// [default: auto]
     #[arg(long, value_name = "DEVICE", value_parser = choice(DEVICES))]
     pub device: Option<DeviceChoice>,
     /// Processor threads to use, 1 to 1024 [default: all cores]

@@ -1,7 +1,7 @@
 //! genesplat reconstructs a scene from photos as 3D Gaussians, and evolves them.
 //!
-//! This crate is the door to the library: it re-exports the crates that do the work, under the names below. The
-//! `genesplat` command is built on nothing else.
+//! This crate is the door to the library: it re-exports the crates that do the work, under the names below.
+//! The `genesplat` command is built on nothing else.
 //!
 //! | module | what it is |
 //! |---|---|

@@ -1,6 +1,7 @@
 //! The `genesplat` command.
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM.
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or
+//! SIGTERM.
 
 mod args;
 mod blocks;

@@ -1,8 +1,9 @@
-//! Programs of others: where they are looked for, and what they take from the folder that genesplat is started in.
+//! Programs of others: where they are looked for, and what they take from the folder that genesplat is
+//! started in.
 //!
-//! That folder may hold files of strangers, photos above all, and no code is taken from it. An empty or relative entry of
-//! `PATH` or `PYTHONPATH` means that folder, and so does the entry that Python itself adds to `sys.path`: they count for
-//! nothing. Entries that are named whole are the user's own, and stay.
+//! That folder may hold files of strangers, photos above all, and no code is taken from it. An empty or
+//! relative entry of `PATH` or `PYTHONPATH` means that folder, and so does the entry that Python itself adds
+//! to `sys.path`: they count for nothing. Entries that are named whole are the user's own, and stay.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -12,10 +13,12 @@ use std::process::Command;
 const LISTS: [&str; 4] = ["PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH"];
 /// The same, of one folder or two.
 const FOLDERS: [&str; 3] = ["PYTHONHOME", "PYTHONUSERBASE", "PYTHONPYCACHEPREFIX"];
-/// Since version 3.11, Python adds no folder by itself where this is set; from 3.13 on, it imports before a script begins. Older
-/// ones have added the empty entry by then and have imported nothing since; what is built in, as `sys` is, comes from no folder.
+/// Since version 3.11, Python adds no folder by itself where this is set; from 3.13 on, it imports before a
+/// script begins. Older ones have added the empty entry by then and have imported nothing since; what is
+/// built in, as `sys` is, comes from no folder.
 const SAFE_PATH: &str = "PYTHONSAFEPATH";
-const WITHOUT_EMPTY: &str = "import sys; sys.path[:] = [entry for entry in sys.path if entry not in ('', '.')]\n";
+const WITHOUT_EMPTY: &str =
+    "import sys; sys.path[:] = [entry for entry in sys.path if entry not in ('', '.')]\n";
 
 /// What starts programs.
 #[derive(Clone, Debug, Default)]
@@ -25,8 +28,12 @@ pub(crate) struct Programs {
 }
 
 impl Programs {
+    /// `photos` is a folder, or a video or an archive in it.
     pub(crate) fn beside(photos: &Path) -> Self {
-        Self { photos: photos.canonicalize().ok() }
+        let whole = photos.canonicalize().ok();
+        let folder_of =
+            |path: PathBuf| if path.is_dir() { Some(path) } else { Some(path.parent()?.to_owned()) };
+        Self { photos: whole.and_then(folder_of) }
     }
 
     /// The first of these programs that `PATH` has.
@@ -54,7 +61,8 @@ impl Programs {
             };
         }
         for name in FOLDERS {
-            if std::env::var_os(name).is_some_and(|list| !std::env::split_paths(&list).all(|entry| self.is_own(&entry)))
+            if std::env::var_os(name)
+                .is_some_and(|list| !std::env::split_paths(&list).all(|entry| self.is_own(&entry)))
             {
                 command.env_remove(name);
             }
@@ -73,7 +81,9 @@ impl Programs {
         let folders: Vec<PathBuf> = std::env::split_paths(list).filter(|entry| self.is_own(entry)).collect();
         let endings = if cfg!(windows) { &[".exe", ""][..] } else { &[""] };
         let files = names.iter().flat_map(|name| endings.iter().map(move |end| format!("{name}{end}")));
-        files.flat_map(|file| folders.iter().map(move |folder| folder.join(&file))).find(|path| path.is_file())
+        files
+            .flat_map(|file| folders.iter().map(move |folder| folder.join(&file)))
+            .find(|path| path.is_file())
     }
 
     /// What counts of a list of folders.
@@ -85,7 +95,8 @@ impl Programs {
     /// Whether a folder is the user's own: named whole, and not that of the photos.
     fn is_own(&self, folder: &Path) -> bool {
         let Some(photos) = &self.photos else { return folder.is_absolute() };
-        let is_theirs = folder.canonicalize().is_ok_and(|folder| folder == *photos || folder == photos.join("images"));
+        let is_theirs =
+            folder.canonicalize().is_ok_and(|folder| folder == *photos || folder == photos.join("images"));
         folder.is_absolute() && !is_theirs
     }
 }
@@ -107,6 +118,8 @@ mod tests {
         // Tests run in the folder of their package, which has this file.
         assert!(Path::new("Cargo.toml").is_file());
         let programs = Programs::beside(&photos);
+        fs::write(photos.join("film.mp4"), "").unwrap();
+        assert_eq!(Programs::beside(&photos.join("film.mp4")).photos, programs.photos);
         let list = |parts: &[&Path]| std::env::join_paths(parts).unwrap();
         let strange = [Path::new(""), Path::new("."), Path::new("src/.."), &photos, &photos.join("images")];
         assert_eq!(programs.find_in(&["Cargo.toml", "program"], &list(&strange)), None);

@@ -2,7 +2,8 @@
 
 use genesplat::core::Photo;
 
-/// Variance of the Laplacian of the brightness, over all pixels but the rim; 0 for a picture without an inside.
+/// Variance of the Laplacian of the brightness, over all pixels but the rim; 0 for a picture without an
+/// inside.
 pub(crate) fn laplacian_variance(photo: &Photo) -> f64 {
     let [width, height] = [photo.width, photo.height].map(|side| side as usize);
     let brightness: Vec<f64> = photo
@@ -14,7 +15,8 @@ pub(crate) fn laplacian_variance(photo: &Photo) -> f64 {
     for v in 1..height.max(1) - 1 {
         for u in 1..width.max(1) - 1 {
             let at = v * width + u;
-            let around = brightness[at - 1] + brightness[at + 1] + brightness[at - width] + brightness[at + width];
+            let around =
+                brightness[at - 1] + brightness[at + 1] + brightness[at - width] + brightness[at + width];
             let laplacian = around - 4.0 * brightness[at];
             (sum, squares, count) = (sum + laplacian, squares + laplacian * laplacian, count + 1.0);
         }

@@ -1,5 +1,5 @@
-//! The map is the territory: dependencies between crates point only where ARCHITECTURE.md says, and the files that the
-//! documents name exist.
+//! The map is the territory: dependencies between crates point only where ARCHITECTURE.md says, and the files
+//! that the documents name exist.
 
 use std::path::{Path, PathBuf};
 
@@ -114,7 +114,8 @@ fn arrows_between_crates_point_one_way() {
 #[test]
 fn a_forbidden_arrow_is_found() {
     for kind in ["dependencies", "build-dependencies", "target.'cfg(unix)'.dependencies"] {
-        let planted = format!("[{kind}]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n");
+        let planted =
+            format!("[{kind}]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n");
         assert_eq!(
             forbidden("genesplat-train", &dependencies(&planted)).as_deref(),
             Some("genesplat-train -> genesplat-kernels"),
@@ -132,7 +133,11 @@ fn code_below(path: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let files = entries.flat_map(|entry| {
         let path = entry.expect("readable").path();
-        if path.is_dir() || path.extension().is_some_and(|end| end == "rs") { code_below(&path) } else { Vec::new() }
+        if path.is_dir() || path.extension().is_some_and(|end| end == "rs") {
+            code_below(&path)
+        } else {
+            Vec::new()
+        }
     });
     files.collect()
 }
@@ -168,17 +173,21 @@ fn named_paths(text: &str) -> Vec<String> {
         .skip(1)
         .step_by(2)
         .filter(|word| [".rs", ".md", ".toml", ".wgsl"].iter().any(|ending| word.ends_with(ending)))
-        .filter(|word| word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with(".."))
+        .filter(|word| {
+            word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with("..")
+        })
         .map(str::to_owned)
         .collect()
 }
 
 /// The documents at the root, and those below `docs` and `lab`.
 fn documents() -> Vec<PathBuf> {
-    let mut documents: Vec<PathBuf> =
-        ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"].map(|name| root().join(name)).into();
+    let mut documents: Vec<PathBuf> = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+        .map(|name| root().join(name))
+        .into();
     for folder in ["docs", "lab"] {
-        let pages = std::fs::read_dir(root().join(folder)).expect(folder).map(|page| page.expect("readable").path());
+        let pages =
+            std::fs::read_dir(root().join(folder)).expect(folder).map(|page| page.expect("readable").path());
         documents.extend(pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")));
     }
     documents

@@ -1,6 +1,6 @@
-//! What may enter the dependency tree: licences, sources, copies and known vulnerabilities, by the rules of `deny.toml`
-//! and `supply/`, from what cargo itself says of the tree. It needs no tool but cargo, and no network where the crates
-//! are there already.
+//! What may enter the dependency tree: licences, sources, copies and known vulnerabilities, by the rules of
+//! `deny.toml` and `supply/`, from what cargo itself says of the tree. It needs no tool but cargo, and no
+//! network where the crates are there already.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -67,8 +67,8 @@ struct Copied {
     name: String,
 }
 
-/// Whether `expression` (SPDX, or the older `MIT/Apache-2.0`) can be met by licences that are allowed: one of the terms
-/// joined by OR, and of those joined by AND each.
+/// Whether `expression` (SPDX, or the older `MIT/Apache-2.0`) can be met by licences that are allowed: one of
+/// the terms joined by OR, and of those joined by AND each.
 fn is_allowed(expression: &str, allowed: &BTreeSet<String>) -> bool {
     let spaced = expression.replace('/', " OR ").replace('(', " ( ").replace(')', " ) ");
     let words: Vec<&str> = spaced.split_whitespace().collect();
@@ -181,7 +181,9 @@ struct Advisory {
 /// Numbers of a version; what follows them (`+spec-1.1.0`) does not order versions.
 fn numbers(version: &str) -> Vec<u64> {
     let core = version.split(['+', '-']).next().unwrap_or_default();
-    core.split('.').map(|number| number.parse().unwrap_or_else(|_| panic!("{version} is no version"))).collect()
+    core.split('.')
+        .map(|number| number.parse().unwrap_or_else(|_| panic!("{version} is no version")))
+        .collect()
 }
 
 fn vulnerable(versions: &BTreeMap<&str, Vec<&str>>, Advisory { id, name, fixed }: &Advisory) -> Vec<String> {
@@ -195,7 +197,8 @@ fn no_crate_has_a_known_vulnerability() {
     let versions = versions(&packages);
     let gone: Vec<_> = known.without.iter().filter(|name| !versions.contains_key(name.as_str())).collect();
     assert!(gone.is_empty(), "supply/advisories.toml names crates that are not there any more: {gone:?}");
-    let found: Vec<String> = known.advisory.iter().flat_map(|advisory| vulnerable(&versions, advisory)).collect();
+    let found: Vec<String> =
+        known.advisory.iter().flat_map(|advisory| vulnerable(&versions, advisory)).collect();
     assert_eq!(found, [""; 0]);
     let planted = Advisory { id: "X".into(), name: "image".into(), fixed: "999.0.0".into() };
     assert_eq!(vulnerable(&versions, &planted).len(), 1);
@@ -224,18 +227,29 @@ fn crates_that_parse_what_nobody_vouches_for_have_been_looked_at() {
         assert_eq!(versions.get(name.as_str()), Some(&vec![version.as_str()]), "look at {name} again");
         assert!(!parses.is_empty() && !seen.is_empty());
     }
-    for parser in ["image", "png", "zune-jpeg", "safetensors", "pytorch-reader", "serde_json", "toml", "postcard"] {
+    for parser in
+        ["image", "png", "zune-jpeg", "safetensors", "pytorch-reader", "serde_json", "toml", "postcard"]
+    {
         assert!(reviews.crates.iter().any(|review| review.name == parser), "{parser}");
     }
 }
 
 #[test]
 fn licence_expressions_are_understood() {
-    let allowed: BTreeSet<String> = ["MIT", "Zlib", "Apache-2.0 WITH LLVM-exception"].map(str::to_owned).into();
-    for met in ["MIT", "GPL-3.0 OR MIT", "GPL-3.0/MIT", "(MIT OR GPL-3.0) AND Zlib", "Apache-2.0 WITH LLVM-exception"] {
+    let allowed: BTreeSet<String> =
+        ["MIT", "Zlib", "Apache-2.0 WITH LLVM-exception"].map(str::to_owned).into();
+    for met in [
+        "MIT",
+        "GPL-3.0 OR MIT",
+        "GPL-3.0/MIT",
+        "(MIT OR GPL-3.0) AND Zlib",
+        "Apache-2.0 WITH LLVM-exception",
+    ] {
         assert!(is_allowed(met, &allowed), "{met}");
     }
-    for unmet in ["", "GPL-3.0", "MIT AND GPL-3.0", "(MIT OR Zlib) AND GPL-3.0", "Apache-2.0", "MIT Zlib", "(MIT"] {
+    for unmet in
+        ["", "GPL-3.0", "MIT AND GPL-3.0", "(MIT OR Zlib) AND GPL-3.0", "Apache-2.0", "MIT Zlib", "(MIT"]
+    {
         assert!(!is_allowed(unmet, &allowed), "{unmet}");
     }
 }

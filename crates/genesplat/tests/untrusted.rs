@@ -1,7 +1,7 @@
 //! Doors for what comes from strangers: a file is opened by `genesplat_io::input` alone, a name is shown by
-//! `genesplat_io::shown` alone, and a file is made, named or linked by `genesplat_io::own` (names of ours) and
-//! `genesplat_io::atomic` (names that users give) alone. Whatever goes around them in the sources of the products is found
-//! here.
+//! `genesplat_io::shown` alone, and a file is made, named or linked by `genesplat_io::own` (names of ours)
+//! and `genesplat_io::atomic` (names that users give) alone. Whatever goes around them in the sources of the
+//! products is found here.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -98,7 +98,9 @@ fn a_detour_is_found() {
         "fs::hard_link(from, to)",
     ] {
         assert_eq!(detours("genesplat/src/x.rs", planted).len(), 1, "{planted}");
-        assert!(detours("genesplat-gpu/src/x.rs", &format!("#[cfg(test)]\nmod tests {{ {planted} }}")).is_empty());
+        assert!(
+            detours("genesplat-gpu/src/x.rs", &format!("#[cfg(test)]\nmod tests {{ {planted} }}")).is_empty()
+        );
     }
     assert_eq!(detours("genesplat-io/src/x.rs", "#[error(\"{path} {problem}\")]").len(), 1);
     assert!(detours("genesplat-io/src/input.rs", "fs::read(path)").is_empty());

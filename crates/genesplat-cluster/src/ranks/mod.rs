@@ -12,7 +12,8 @@ pub trait Ranks {
     /// How many there are.
     fn count(&self) -> usize;
 
-    /// Sends each rank its part, and returns what each has sent here. All ranks call this as often, in the same order.
+    /// Sends each rank its part, and returns what each has sent here. All ranks call this as often, in the
+    /// same order.
     fn exchange(&mut self, parts: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>, RankLost>;
 
     /// All is done, here and elsewhere.

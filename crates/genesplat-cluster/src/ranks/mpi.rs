@@ -7,7 +7,8 @@ use mpi::traits::*;
 
 use super::{RankLost, Ranks};
 
-/// Words of a message at most: MPI counts in 32 bits, and a part may be longer. So small that tests send parts of several.
+/// Words of a message at most: MPI counts in 32 bits, and a part may be longer. So small that tests send
+/// parts of several.
 const MESSAGE: usize = 1 << 16;
 
 /// All processes that `mpirun` has started.
@@ -25,7 +26,8 @@ impl Mpi {
 
     /// Each part goes from where it is to where it belongs, in messages that come in their order.
     fn send_and_receive(&self, parts: &[Vec<u32>], received: &mut [Vec<u32>]) {
-        let messages = |parts: &[Vec<u32>]| parts.iter().map(|part| part.len().div_ceil(MESSAGE)).sum::<usize>();
+        let messages =
+            |parts: &[Vec<u32>]| parts.iter().map(|part| part.len().div_ceil(MESSAGE)).sum::<usize>();
         mpi::request::multiple_scope(messages(parts) + messages(received), |scope, requests| {
             for (from, part) in (0..).zip(received) {
                 for message in part.chunks_mut(MESSAGE) {

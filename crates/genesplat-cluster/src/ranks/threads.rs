@@ -14,7 +14,8 @@ pub struct Threads {
 impl Threads {
     /// As many ranks, one for each thread.
     pub fn new(count: usize) -> Vec<Self> {
-        let mut ranks: Vec<Self> = (0..count).map(|rank| Self { rank, to: Vec::new(), from: Vec::new() }).collect();
+        let mut ranks: Vec<Self> =
+            (0..count).map(|rank| Self { rank, to: Vec::new(), from: Vec::new() }).collect();
         for from in 0..count {
             for to in 0..count {
                 let (sender, receiver) = channel();
@@ -39,7 +40,8 @@ impl Ranks for Threads {
         for ((rank, sender), part) in self.to.iter().enumerate().zip(parts) {
             sender.send(part).map_err(|_| RankLost(rank))?;
         }
-        let receive = |(rank, receiver): (usize, &Receiver<Vec<u32>>)| receiver.recv().map_err(|_| RankLost(rank));
+        let receive =
+            |(rank, receiver): (usize, &Receiver<Vec<u32>>)| receiver.recv().map_err(|_| RankLost(rank));
         self.from.iter().enumerate().map(receive).collect()
     }
 }
@@ -56,7 +58,8 @@ mod tests {
             let parts = (0..3).map(|to| vec![rank.rank() as u32, to]).collect();
             (rank.rank() as u32, rank.exchange(parts).unwrap())
         };
-        let threads: Vec<_> = Threads::new(3).into_iter().map(|rank| thread::spawn(move || of_rank(rank))).collect();
+        let threads: Vec<_> =
+            Threads::new(3).into_iter().map(|rank| thread::spawn(move || of_rank(rank))).collect();
         for (rank, received) in threads.into_iter().map(|thread| thread.join().unwrap()) {
             assert_eq!(received, (0..3).map(|from| vec![from, rank]).collect::<Vec<_>>());
         }

@@ -1,5 +1,5 @@
-//! One gene group of one individual: a bit a row for "differs from what is shared", and the values of those rows,
-//! packed.
+//! One gene group of one individual: a bit a row for "differs from what is shared", and the values of those
+//! rows, packed.
 //!
 //! Bits make crossover a bitwise select, and runs of rows a plain copy.
 
@@ -86,8 +86,8 @@ impl<const W: usize> Column<W> {
             .collect()
     }
 
-    /// What most of some columns hold, row by row, by a majority vote in one pass (Boyer and Moore, 1981); one of the
-    /// values where nothing has more than half of the weight.
+    /// What most of some columns hold, row by row, by a majority vote in one pass (Boyer and Moore, 1981);
+    /// one of the values where nothing has more than half of the weight.
     pub(crate) fn majority(voters: &[(&Self, u32)]) -> Self {
         let words = voters.first().map_or(0, |(column, _)| column.changed.len());
         let mut values: Vec<_> = voters.iter().map(|(column, _)| column.values.iter()).collect();
@@ -114,8 +114,8 @@ impl<const W: usize> Column<W> {
         Reader { column: self, word: 0, rank: 0 }
     }
 
-    /// Crossover and mutation in one pass. The child has `first`'s rows where a bit of `from_first` is set and
-    /// `second`'s elsewhere; then each row of `steps` becomes `step(value, by)`.
+    /// Crossover and mutation in one pass. The child has `first`'s rows where a bit of `from_first` is set
+    /// and `second`'s elsewhere; then each row of `steps` becomes `step(value, by)`.
     pub(crate) fn child(
         parents: [&Self; 2],
         from_first: impl Fn(usize) -> u64,

@@ -1,4 +1,5 @@
-//! An individual: how its genes differ from those that a generation shares ([`crate::population::consensus`]).
+//! An individual: how its genes differ from those that a generation shares
+//! ([`crate::population::consensus`]).
 
 use genesplat_core::{Genes, SparseDelta};
 
@@ -10,7 +11,8 @@ use group::{GROUPS, Group};
 
 use crate::operators::crossover::Inheritance;
 
-/// The genes of one individual, group by group: a row whose position alone has mutated costs 12 bytes, not 28.
+/// The genes of one individual, group by group: a row whose position alone has mutated costs 12 bytes, not
+/// 28.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Genome {
     position: Column<3>,
@@ -69,7 +71,8 @@ impl Genome {
         Self { position, scale, opacity }
     }
 
-    /// The same individual as its difference from other shared genes, which differ from these as `other` does.
+    /// The same individual as its difference from other shared genes, which differ from these as `other`
+    /// does.
     pub(crate) fn rebased(&self, other: &Self, shared: &[Genes]) -> Self {
         Self {
             position: self.position.rebased(&other.position, |row| Group::Position.of(&shared[row])),

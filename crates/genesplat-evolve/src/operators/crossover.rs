@@ -47,7 +47,8 @@ const FIRST_DRAW: u32 = 1;
 /// `points` distinct cuts between rows; every other segment is set, beginning with the first.
 fn segments(rng: &Rng, generation: u32, pair: u32, n: u32, points: u32) -> Vec<u64> {
     let places = n.saturating_sub(1);
-    let draw = |k: u32, below: u32| rng.at(Stream::Crossover, generation, pair, FIRST_DRAW + k).below(0, below);
+    let draw =
+        |k: u32, below: u32| rng.at(Stream::Crossover, generation, pair, FIRST_DRAW + k).below(0, below);
     let mut edges: Vec<usize> = vec![0];
     // Place p is the gap after row p, so that the next segment begins at row p + 1.
     edges.extend(distinct(places, points.min(places), draw).into_iter().map(|place| place as usize + 1));

@@ -1,9 +1,9 @@
 //! `u_i` of Eq. 4: how far the gradients let a gene group of a Gaussian move (section 3.2).
 //!
-//! The signed gradients accumulated over the contributing images are divided by their number, `g_i` is the l2 norm over
-//! the group's components, `h_i = ln(1 + g_i)`; over the `k` *selected* Gaussians `z_i = (h_i - mu_h) / sigma_h`, and
-//! `u_i = 1 / (1 + exp(-z_i))`. Where all have the same `h`, `z` is 0. A Gaussian that no image contributed to has `g =
-//! 0`. Gradients are those of the raw parameters.
+//! The signed gradients accumulated over the contributing images are divided by their number, `g_i` is the l2
+//! norm over the group's components, `h_i = ln(1 + g_i)`; over the `k` *selected* Gaussians `z_i = (h_i -
+//! mu_h) / sigma_h`, and `u_i = 1 / (1 + exp(-z_i))`. Where all have the same `h`, `z` is 0. A Gaussian that
+//! no image contributed to has `g = 0`. Gradients are those of the raw parameters.
 
 use genesplat_core::Genes;
 
@@ -103,7 +103,8 @@ mod tests {
     use super::*;
 
     fn magnitudes(sum: Vec<Genes>, views: Vec<u32>) -> Magnitudes {
-        Magnitudes::new(Magnitude::Gradient, Some(&GeneGradients { sum, views })).expect("there are gradients")
+        Magnitudes::new(Magnitude::Gradient, Some(&GeneGradients { sum, views }))
+            .expect("there are gradients")
     }
 
     /// Three Gaussians, worked out by hand for each step of section 3.2.
@@ -125,7 +126,8 @@ mod tests {
         // Equal gradients, zero or not: z = 0.
         assert_eq!([0, 1, 2].map(|row| over_all.u(Group::Scale, row)), [0.5; 3]);
         assert_eq!([0, 1, 2].map(|row| over_all.u(Group::Opacity, row)), [0.5; 3]);
-        // Of two selected values one is a deviation above the mean, one below: u = 1 / (1 + 1/e) and its complement.
+        // Of two selected values one is a deviation above the mean, one below: u = 1 / (1 + 1/e) and its
+        // complement.
         let over_two = magnitudes.over(&[1, 2]);
         assert!((over_two.u(Group::Position, 2) - 0.731_058_6).abs() < 1e-6);
         assert!((over_two.u(Group::Position, 1) - 0.268_941_4).abs() < 1e-6);

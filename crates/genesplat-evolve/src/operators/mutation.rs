@@ -1,13 +1,15 @@
 //! Mutation (section 3.2): `x_mutated = x + alpha * u_i * sigma_x * N(0, 1)` (Eq. 4).
 //!
 //! What the paper leaves open, and how it is decided here:
-//! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each individual.
-//! - **Which genes**: each of the three groups of a selected Gaussian mutates with the mutation rate, independently;
-//!   then all its components move, each by its own normal number.
-//! - **`x_base`**: the value that the child has before the mutation. The value in the base would undo what was
-//!   inherited.
+//! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each
+//!   individual.
+//! - **Which genes**: each of the three groups of a selected Gaussian mutates with the mutation rate,
+//!   independently; then all its components move, each by its own normal number.
+//! - **`x_base`**: the value that the child has before the mutation. The value in the base would undo what
+//!   was inherited.
 //! - **`sigma_x`**: the standard deviation (`1/N`) of each gene over the base that the search began with.
-//! - **The space**: genes move as the optimiser sees them, log-scales and opacity logits, where every value is valid.
+//! - **The space**: genes move as the optimiser sees them, log-scales and opacity logits, where every value
+//!   is valid.
 
 use genesplat_core::{GENES, Genes, Rng, Stream};
 
@@ -52,7 +54,13 @@ impl Mutation {
     }
 
     /// The child of `parents` after the mutation at `address`.
-    pub(crate) fn apply(&self, parents: Parents<'_>, shared: &[Genes], address: Address, rate: f64) -> Genome {
+    pub(crate) fn apply(
+        &self,
+        parents: Parents<'_>,
+        shared: &[Genes],
+        address: Address,
+        rate: f64,
+    ) -> Genome {
         Genome::child(parents, &self.draw(address, rate), shared)
     }
 
@@ -170,25 +178,33 @@ mod tests {
     #[test]
     fn moves_are_normal_with_standard_deviation_alpha_sigma() {
         let base = base(1000);
-        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..GeneticConfig::default() };
+        let config =
+            GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..GeneticConfig::default() };
         let moves = moves(&mutation(&config, &base, None), &base, 0.5, 40);
         for (component, moves) in moves.iter().enumerate() {
             let n = moves.len() as f64;
             // 40 individuals x 500 selected x rate 0.5; four and a half standard errors in each check.
-            assert!((n - 10_000.0).abs() < 4.5 * (20_000.0f64 * 0.25).sqrt(), "component {component}: {n} moves");
+            assert!(
+                (n - 10_000.0).abs() < 4.5 * (20_000.0f64 * 0.25).sqrt(),
+                "component {component}: {n} moves"
+            );
             let expected = 0.1 * (component + 1) as f64;
             let (mean, std) = mean_and_std(moves);
             assert!(mean.abs() < 4.5 * expected / n.sqrt(), "component {component}: mean {mean}");
             assert!((std / expected - 1.0).abs() < 4.5 / (2.0 * n).sqrt(), "component {component}: {std}");
             let within = moves.iter().filter(|x| x.abs() < expected).count() as f64 / n;
-            assert!((within - 0.6827).abs() < 4.5 * (0.6827 * 0.3173 / n).sqrt(), "component {component}: {within}");
+            assert!(
+                (within - 0.6827).abs() < 4.5 * (0.6827 * 0.3173 / n).sqrt(),
+                "component {component}: {within}"
+            );
         }
     }
 
     #[test]
     fn components_move_independently() {
         let base = base(500);
-        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
+        let config =
+            GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
         let moves = moves(&mutation(&config, &base, None), &base, 1.0, 20);
         let n = moves[0].len();
         assert!(moves.iter().all(|column| column.len() == n), "at rate 1 every gene moves");
@@ -204,10 +220,13 @@ mod tests {
     #[test]
     fn groups_mutate_independently() {
         let base = base(4000);
-        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
+        let config =
+            GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
         let address = Address { generation: 1, individual: 0 };
         let Mutations { position, scale, opacity } = mutation(&config, &base, None).draw(address, 0.5);
-        for (a, b) in [(&position.rows, &scale.rows), (&scale.rows, &opacity.rows), (&opacity.rows, &position.rows)] {
+        for (a, b) in
+            [(&position.rows, &scale.rows), (&scale.rows, &opacity.rows), (&opacity.rows, &position.rows)]
+        {
             let both = a.iter().filter(|row| b.contains(row)).count();
             // Four and a half standard errors of a quarter.
             assert!(both.abs_diff(1000) < 124, "{both}");
@@ -216,7 +235,8 @@ mod tests {
 
     #[test]
     fn u_scales_the_move() {
-        // Half of the Gaussians have no gradient in a group, half have one: z is -1 and +1, u is 0.2689 and 0.7311.
+        // Half of the Gaussians have no gradient in a group, half have one: z is -1 and +1, u is 0.2689 and
+        // 0.7311.
         let base = base(1000);
         for group in Group::ALL {
             let (first, genes) = (group.start(), group.start()..group.start() + group.width());
@@ -236,7 +256,10 @@ mod tests {
             for (square, u) in squares.into_iter().zip([0.268_941, 0.731_059]) {
                 // alpha = 0.1, sigma of column c = c + 1; four and a half standard errors of 10,000 draws.
                 let expected = 0.1 * (first + 1) as f64 * u;
-                assert!((square.sqrt() / expected - 1.0).abs() < 4.5 / 20_000f64.sqrt(), "{group:?}: {square}");
+                assert!(
+                    (square.sqrt() / expected - 1.0).abs() < 4.5 / 20_000f64.sqrt(),
+                    "{group:?}: {square}"
+                );
             }
         }
     }
@@ -244,7 +267,8 @@ mod tests {
     #[test]
     fn each_individual_of_each_generation_mutates_in_its_own_way() {
         let base = base(1000);
-        let config = GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
+        let config =
+            GeneticConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..GeneticConfig::default() };
         let mutation = mutation(&config, &base, None);
         let at = |generation, individual| mutation.draw(Address { generation, individual }, 0.5);
         // All rows are selected, so that only coins and normal numbers can differ.
@@ -270,7 +294,8 @@ mod tests {
 
     #[test]
     fn a_gene_that_would_overflow_keeps_its_value() {
-        let base: Vec<Genes> = (0..100).map(|row| [if row % 2 == 0 { f32::MAX } else { -f32::MAX }; GENES]).collect();
+        let base: Vec<Genes> =
+            (0..100).map(|row| [if row % 2 == 0 { f32::MAX } else { -f32::MAX }; GENES]).collect();
         let config = GeneticConfig {
             magnitude: Magnitude::Unit,
             intensity: 1.0,

@@ -15,7 +15,8 @@ pub(crate) struct Address {
     pub(crate) individual: u32,
 }
 
-/// `wanted` of the rows `0..total`, ascending; every subset is equally likely. As [`distinct`], with a bit a row.
+/// `wanted` of the rows `0..total`, ascending; every subset is equally likely. As [`distinct`], with a bit a
+/// row.
 pub(crate) fn choose_rows(rng: &Rng, stream: Stream, address: Address, total: u32, wanted: u32) -> Vec<u32> {
     let mut chosen = vec![0; words(total as usize)];
     for (block, first) in (total - wanted..total).step_by(4).enumerate() {
@@ -34,8 +35,8 @@ pub(crate) fn choose_rows(rng: &Rng, stream: Stream, address: Address, total: u3
     rows
 }
 
-/// `wanted` distinct numbers of `0..total`; every subset is equally likely. `below(k, n)` is draw `k`, in `0..n`.
-/// (Floyd's algorithm: Bentley and Floyd, "A sample of brilliance", CACM 1987.)
+/// `wanted` distinct numbers of `0..total`; every subset is equally likely. `below(k, n)` is draw `k`, in
+/// `0..n`. (Floyd's algorithm: Bentley and Floyd, "A sample of brilliance", CACM 1987.)
 pub(crate) fn distinct(total: u32, wanted: u32, below: impl Fn(u32, u32) -> u32) -> BTreeSet<u32> {
     let mut sample = BTreeSet::new();
     for (draw, last) in (total - wanted..total).enumerate() {
@@ -89,7 +90,8 @@ mod tests {
         let rng = Rng::new(5);
         let mut counts = [[0u32; 10]; 2];
         for individual in 0..10_000 {
-            for row in choose_rows(&rng, Stream::GeneSelection, Address { generation: 0, individual }, 10, 3) {
+            for row in choose_rows(&rng, Stream::GeneSelection, Address { generation: 0, individual }, 10, 3)
+            {
                 counts[0][row as usize] += 1;
             }
             for item in distinct(10, 3, |k, n| rng.at(Stream::Test, 0, individual, k).below(0, n)) {

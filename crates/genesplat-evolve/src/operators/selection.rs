@@ -1,16 +1,24 @@
 //! Tournament selection of parents (section 3.1).
 //!
-//! Sampling is without replacement within a tournament; the two tournaments of a pair are independent and may elect the
-//! same individual: such a pair is its own crossover.
+//! Sampling is without replacement within a tournament; the two tournaments of a pair are independent and may
+//! elect the same individual: such a pair is its own crossover.
 
 use genesplat_core::{Rng, Stream};
 
 use crate::operators::sampling::distinct;
 
 /// The ranks (0 is best) of the two parents of a pair. The best of a tournament is its lowest rank.
-pub(crate) fn parent_ranks(rng: &Rng, generation: u32, pair: u32, population: u32, tournament: u32) -> [u32; 2] {
+pub(crate) fn parent_ranks(
+    rng: &Rng,
+    generation: u32,
+    pair: u32,
+    population: u32,
+    tournament: u32,
+) -> [u32; 2] {
     [0, 1].map(|parent: u32| {
-        let draw = |k: u32, n: u32| rng.at(Stream::Tournament, generation, pair, parent * tournament + k).below(0, n);
+        let draw = |k: u32, n: u32| {
+            rng.at(Stream::Tournament, generation, pair, parent * tournament + k).below(0, n)
+        };
         distinct(population, tournament, draw).first().copied().unwrap_or(0)
     })
 }
@@ -44,7 +52,8 @@ mod tests {
     fn the_two_tournaments_of_a_pair_are_independent() {
         let rng = Rng::new(12);
         let pairs = 20_000;
-        let both_best = (0..pairs).filter(|&pair| parent_ranks(&rng, 1, pair, 10, 4) == [0, 0]).count() as f64;
+        let both_best =
+            (0..pairs).filter(|&pair| parent_ranks(&rng, 1, pair, 10, 4) == [0, 0]).count() as f64;
         // (C(9, 3) / C(10, 4))^2 = 0.16; four and a half standard errors.
         let bound = 4.5 * (f64::from(pairs) * 0.16 * 0.84).sqrt();
         assert!((both_best - 0.16 * f64::from(pairs)).abs() < bound, "{both_best}");

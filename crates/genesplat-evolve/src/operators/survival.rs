@@ -10,8 +10,8 @@ pub(crate) struct Ranking {
 }
 
 impl Ranking {
-    /// Ranks individuals by their losses. What is not finite ranks last; equal losses keep their order, elites ahead of
-    /// children.
+    /// Ranks individuals by their losses. What is not finite ranks last; equal losses keep their order,
+    /// elites ahead of children.
     pub(crate) fn new(losses: &[f64]) -> Self {
         let key = |index: &usize| if losses[*index].is_finite() { losses[*index] } else { f64::INFINITY };
         let mut order: Vec<usize> = (0..losses.len()).collect();

@@ -1,8 +1,9 @@
 //! What the individuals of a generation have in common: the genes that they are differences from.
 //!
-//! Keeping, breeding and scoring an individual cost what it changes. At the paper's settings individuals differ from
-//! the base in more than half of their rows after 30 generations, but from what most of their parents hold in a
-//! quarter, and in a twentieth towards the end (`lab/performance.md`): selection makes them cousins.
+//! Keeping, breeding and scoring an individual cost what it changes. At the paper's settings individuals
+//! differ from the base in more than half of their rows after 30 generations, but from what most of their
+//! parents hold in a quarter, and in a twentieth towards the end (`lab/performance.md`): selection makes them
+//! cousins.
 
 use std::sync::Arc;
 
@@ -11,7 +12,8 @@ use rayon::prelude::*;
 
 use crate::individual::Genome;
 
-/// Fraction of the rows that must have changed before the consensus moves: every genome and the scorer have to follow.
+/// Fraction of the rows that must have changed before the consensus moves: every genome and the scorer have
+/// to follow.
 const SHIFT_MIN: f64 = 0.005;
 
 /// What most parents of a generation hold, gene group by gene group.
@@ -36,8 +38,8 @@ impl Consensus {
         &self.genes
     }
 
-    /// Moves to what most of `genomes` hold, each with its weight, and they along, if that is far enough from where it
-    /// is.
+    /// Moves to what most of `genomes` hold, each with its weight, and they along, if that is far enough from
+    /// where it is.
     pub(crate) fn follow(&mut self, genomes: &mut [Arc<Genome>], weights: &[u32]) {
         let voters: Vec<_> = genomes.iter().map(Arc::as_ref).zip(weights.iter().copied()).collect();
         let majority = Genome::majority(&voters);
@@ -74,9 +76,9 @@ impl Consensus {
     pub(crate) fn delta_from_base(&self, genome: &Genome) -> SparseDelta {
         let own = genome.to_delta(&self.genes);
         let mut own = own.rows.into_iter().zip(own.genes).peekable();
-        let genes = (0..)
-            .zip(&self.genes)
-            .map(|(row, &shared)| own.next_if(|(changed, _)| *changed == row).map_or(shared, |(_, genes)| genes));
+        let genes = (0..).zip(&self.genes).map(|(row, &shared)| {
+            own.next_if(|(changed, _)| *changed == row).map_or(shared, |(_, genes)| genes)
+        });
         let changed = (0..).zip(genes).zip(&self.base).filter(|((_, genes), base)| genes != *base);
         let (rows, genes) = changed.map(|(genes, _)| genes).unzip();
         SparseDelta { rows, genes }

@@ -1,22 +1,22 @@
 //! How a population is stored: only individuals that breed are kept; all others are recipes.
 //!
-//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, twice that while the next
-//! generation is bred. Three things keep a search far below it:
+//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, twice that while the
+//! next generation is bred. Three things keep a search far below it:
 //!
-//! 1. An individual is a difference from what the parents of its generation have in common (module `consensus`), group
-//!    by group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and
-//!    opacity that differs.
-//! 2. A child that has no loss yet is a *recipe*: two parents and the address of its random numbers. Its genes are made
-//!    when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
-//! 3. Tournaments choose few: of P = 100 with T = 10 and 10 elites, about 26 distinct individuals breed or are carried
-//!    over (with T = 2, about 55). Elites are shared between generations, not copied.
+//! 1. An individual is a difference from what the parents of its generation have in common (module
+//!    `consensus`), group by group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes
+//!    for each position, scale and opacity that differs.
+//! 2. A child that has no loss yet is a *recipe*: two parents and the address of its random numbers. Its
+//!    genes are made when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
+//! 3. Tournaments choose few: of P = 100 with T = 10 and 10 elites, about 26 distinct individuals breed or
+//!    are carried over (with T = 2, about 55). Elites are shared between generations, not copied.
 //!
-//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the
-//! base after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: 0.003 at the
-//! beginning, 0.37 after 30 generations and 0.51 after 100 of the paper's. A kept individual takes at most `N (3/8 + 28
-//! rho_k)` bytes, and `D` distinct individuals are kept, `2 D` while the next parents are made from the old ones. From
-//! the consensus they differ in far less: `tests/memory.rs` measures 490 bytes a Gaussian at most for a whole search in
-//! the worst case.
+//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs
+//! from the base after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`:
+//! 0.003 at the beginning, 0.37 after 30 generations and 0.51 after 100 of the paper's. A kept individual
+//! takes at most `N (3/8 + 28 rho_k)` bytes, and `D` distinct individuals are kept, `2 D` while the next
+//! parents are made from the old ones. From the consensus they differ in far less: `tests/memory.rs` measures
+//! 490 bytes a Gaussian at most for a whole search in the worst case.
 
 pub(crate) mod consensus;
 
@@ -52,8 +52,8 @@ pub(crate) struct Pair {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Brood {
     pub(crate) count: u32,
-    /// Parents of children `2 i` and `2 i + 1`; of an odd count, the second child of the last pair is dropped. Empty in
-    /// the initial population, which is mutants of the base.
+    /// Parents of children `2 i` and `2 i + 1`; of an odd count, the second child of the last pair is
+    /// dropped. Empty in the initial population, which is mutants of the base.
     pub(crate) pairs: Vec<Pair>,
 }
 
@@ -76,7 +76,8 @@ impl MatingPlan {
             (ranks, is_crossed(rng, generation, pair, rate))
         };
         let pairs: Vec<([u32; 2], bool)> = (0..children.div_ceil(2)).map(pair).collect();
-        let mut kept: Vec<u32> = pairs.iter().flat_map(|(ranks, _)| *ranks).chain(0..config.elites()).collect();
+        let mut kept: Vec<u32> =
+            pairs.iter().flat_map(|(ranks, _)| *ranks).chain(0..config.elites()).collect();
         kept.sort_unstable();
         kept.dedup();
         Self { pairs, kept }
@@ -135,7 +136,8 @@ mod tests {
 
     #[test]
     fn the_plan_keeps_elites_and_parents_and_no_one_else() {
-        let config = GeneticConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..GeneticConfig::default() };
+        let config =
+            GeneticConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..GeneticConfig::default() };
         let plan = MatingPlan::draw(&config, &Rng::new(4), 9);
         assert_eq!((config.elites(), plan.pairs.len()), (6, 13), "25 children of 13 pairs");
         let is_parent = |rank: &u32| plan.pairs.iter().any(|(ranks, _)| ranks.contains(rank));
@@ -143,13 +145,14 @@ mod tests {
         assert!(plan.kept.is_sorted());
     }
 
-    /// The `D` of the module's growth law: the expectation is `E + sum over ranks r >= E of 1 - (1 - C(P-1-r, T-1) /
-    /// C(P, T))^(P-E)`.
+    /// The `D` of the module's growth law: the expectation is `E + sum over ranks r >= E of 1 - (1 - C(P-1-r,
+    /// T-1) / C(P, T))^(P-E)`.
     #[test]
     fn about_a_quarter_of_the_papers_population_is_kept() {
         let config = GeneticConfig::default();
-        let kept: Vec<f64> =
-            (1..=200).map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len() as f64).collect();
+        let kept: Vec<f64> = (1..=200)
+            .map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len() as f64)
+            .collect();
         let mean = kept.iter().sum::<f64>() / kept.len() as f64;
         let mut expected = 10.0;
         let mut p = 0.1; // C(99 - r, 9) / C(100, 10) at r = 0

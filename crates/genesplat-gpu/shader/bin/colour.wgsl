@@ -1,5 +1,5 @@
-// Stage `project`, step 2: the colours of the splats, one Gaussian an invocation, after the steps of the optimiser that its
-// colours have to make up for.
+// Stage `project`, step 2: the colours of the splats, one Gaussian an invocation, after the steps of the
+// optimiser that its colours have to make up for.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;

@@ -1,5 +1,6 @@
-// Radix sort, step 2 of each pass: where the keys of each block begin among all keys of the same digit, and how many
-// keys each digit has. One workgroup a digit; of a single block the first sees to all of them, an invocation a digit.
+// Radix sort, step 2 of each pass: where the keys of each block begin among all keys of the same digit, and
+// how many keys each digit has. One workgroup a digit; of a single block the first sees to all of them, an
+// invocation a digit.
 
 override LENGTH: u32;
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;

@@ -1,5 +1,5 @@
-// Stage `bin`, step 3: the intersections of splats with tiles, nearest splat first; the number of an intersection is
-// its place here, and never changes.
+// Stage `bin`, step 3: the intersections of splats with tiles, nearest splat first; the number of an
+// intersection is its place here, and never changes.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> lengths: array<u32>;
@@ -42,8 +42,9 @@ fn list_row(splat: Splat, row: u32, tile_y: u32, first: u32, end: u32) -> u32 {
     return at;
 }
 
-// Counting shares this code, but a compiler may round differently there. What was counted in vain is listed as the splat
-// that reaches nothing, in the tile of the splat's mean: in one tile for all splats, such lists could grow long.
+// Counting shares this code, but a compiler may round differently there. What was counted in vain is listed
+// as the splat that reaches nothing, in the tile of the splat's mean: in one tile for all splats, such lists
+// could grow long.
 fn list_in_vain(splat: Splat, first: u32, end: u32, pitch: u32) {
     let tiles = vec2(view.tiles_x, view.tiles_y);
     let tile = vec2<u32>(clamp(splat.mean_px / f32(TILE), vec2(0.0), vec2<f32>(tiles - 1u)));

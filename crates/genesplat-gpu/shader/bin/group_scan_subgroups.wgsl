@@ -1,5 +1,5 @@
-// Prefix sum over the 256 invocations of a workgroup, by subgroups: shuffles in each of them, then a walk over their
-// sums. One barrier. Sums saturate as in its twin, `group_scan.wgsl`.
+// Prefix sum over the 256 invocations of a workgroup, by subgroups: shuffles in each of them, then a walk
+// over their sums. One barrier. Sums saturate as in its twin, `group_scan.wgsl`.
 
 // No subgroup has fewer than four invocations.
 var<workgroup> subgroup_sums: array<u32, GROUP / 4u>;

@@ -1,6 +1,6 @@
-// Radix sort: sets the bits of a workgroup's keys in the masks of their digits, by subgroups: equal digits find each
-// other by ballots, and one of them writes for all, so that they do not queue for the same word. Twin of
-// `mark_digit.wgsl`.
+// Radix sort: sets the bits of a workgroup's keys in the masks of their digits, by subgroups: equal digits
+// find each other by ballots, and one of them writes for all, so that they do not queue for the same word.
+// Twin of `mark_digit.wgsl`.
 
 fn mark_digit(lane: u32, digit: u32, is_key: bool) {
     var equal = subgroupBallot(is_key);

@@ -1,8 +1,8 @@
 // Which tiles a splat reaches: the one function that counting and emitting share.
 //
-// Exact and opacity-aware: a splat is listed where its ellipse alpha >= 1/255 meets the pixel centres of a 4x4-pixel
-// block of the tile. The ellipse is convex, so within a band of four pixel rows it covers one interval of columns; the
-// four bands of a tile row are solved at once.
+// Exact and opacity-aware: a splat is listed where its ellipse alpha >= 1/255 meets the pixel centres of a
+// 4x4-pixel block of the tile. The ellipse is convex, so within a band of four pixel rows it covers one
+// interval of columns; the four bands of a tile row are solved at once.
 
 // Block columns [begin, end) that the ellipse covers in each of the four bands of a tile row.
 struct Spans {
@@ -35,8 +35,8 @@ fn spans_of(splat: Splat, tile_y: u32) -> Spans {
     let bottom = top + 3.0;
     let height = splat.half_extent_px.y + SLACK_PX;
 
-    // Rows of the band where the right and the left boundary reach furthest: the ellipse's own extreme rows, or the
-    // nearest row of the band.
+    // Rows of the band where the right and the left boundary reach furthest: the ellipse's own extreme rows,
+    // or the nearest row of the band.
     let extreme = -b * splat.half_extent_px.x / c;
     let low = max(top, vec4(-height));
     let high = min(bottom, vec4(height));

@@ -1,5 +1,5 @@
-// Stage `bin`: how much work the tile lists are. Where they do not fit, nothing is listed and the run halts: the host
-// finds out, allocates more, and repeats what was not done.
+// Stage `bin`: how much work the tile lists are. Where they do not fit, nothing is listed and the run halts:
+// the host finds out, allocates more, and repeats what was not done.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read_write> lengths: array<u32>;

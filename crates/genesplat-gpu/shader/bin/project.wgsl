@@ -1,5 +1,5 @@
-// Stage `project`, step 1: a cloud becomes the splats of one view, one Gaussian an invocation; colours come in step 2. Also
-// counts the tiles that each splat reaches.
+// Stage `project`, step 1: a cloud becomes the splats of one view, one Gaussian an invocation; colours come
+// in step 2. Also counts the tiles that each splat reaches.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;

@@ -1,7 +1,7 @@
 // Radix sort, step 3 of each pass: every key to its place, keys of equal digits in their old order.
 //
-// A workgroup takes 256 keys at a time. Each invocation sets its bit in the mask of its digit; the bits below it are
-// the equal digits before it. This needs no promise about the order of workgroups.
+// A workgroup takes 256 keys at a time. Each invocation sets its bit in the mask of its digit; the bits below
+// it are the equal digits before it. This needs no promise about the order of workgroups.
 
 override LENGTH: u32;
 override SHIFT: u32;

@@ -1,6 +1,6 @@
-// Stage `bin`, step 4: where the sorted intersections of each tile begin and end. Ranges of empty tiles stay as they
-// were cleared: 0 to 0. Begin and end come from different invocations, so they are numbers of their own: who writes a
-// component of a vector may write all of it (on Metal).
+// Stage `bin`, step 4: where the sorted intersections of each tile begin and end. Ranges of empty tiles stay
+// as they were cleared: 0 to 0. Begin and end come from different invocations, so they are numbers of their
+// own: who writes a component of a vector may write all of it (on Metal).
 
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;

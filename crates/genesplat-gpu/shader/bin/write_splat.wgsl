@@ -1,6 +1,6 @@
 // The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths`,
-// `tile_counts` and `flags`, which the shader binds. `colour_seen` is a function of the shader, too: the colour of a row as
-// the camera sees it, before it is clamped.
+// `tile_counts` and `flags`, which the shader binds. `colour_seen` is a function of the shader, too: the
+// colour of a row as the camera sees it, before it is clamped.
 fn write_splat(params: Params, row: u32, slot: u32) {
     let g = geometry_of(params);
     var splat: Splat;

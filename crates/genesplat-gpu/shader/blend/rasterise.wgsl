@@ -1,8 +1,9 @@
-// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation. A splat is passed over
-// where its ellipse misses the block of pixels that runs in lockstep: the list has it if it reaches any block.
+// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation. A splat is passed
+// over where its ellipse misses the block of pixels that runs in lockstep: the list has it if it reaches any
+// block.
 //
-// A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
-// any other.
+// A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into
+// it, nor is any other.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -34,8 +35,8 @@ struct Blended {
 // Above the logarithm of every opacity.
 const FINISHED: f32 = 1.0;
 
-// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
-// finished.
+// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the
+// pixel is finished.
 fn blend(blended: ptr<function, Blended>, splat: BatchSplat) {
     let exponent = exponent_at(splat.conic_log2, splat.log2_opacity, splat.mean_px - (*blended).at);
     if exponent < (*blended).exponent_min {

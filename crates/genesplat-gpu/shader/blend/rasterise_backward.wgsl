@@ -1,17 +1,18 @@
 // Stage `rasterise_backward`: from dL/dimage to one row of sums per intersection of a splat with a tile.
 //
-// Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
-// splat is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a time, or four where
-// workgroups have little memory:
-// 1. each invocation is a pixel and leaves p = o G dL/dalpha and w = alpha T of each splat in workgroup memory;
-// 2. each invocation is one row of eight pixels of its block, and sums these for one splat: along a row, moments by the
-//    number of the pixel are sums with constant factors;
+// Walks the lists front to back once more, as the forward pass does: with the final image known, the light
+// behind a splat is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a
+// time, or four where workgroups have little memory:
+// 1. each invocation is a pixel and leaves p = o G dL/dalpha and w = alpha T of each splat in workgroup
+//    memory;
+// 2. each invocation is one row of eight pixels of its block, and sums these for one splat: along a row,
+//    moments by the number of the pixel are sums with constant factors;
 // 3. each invocation is one column of a splat's row and sums its 32 parts.
-// Blocks that the splat's ellipse misses, and those whose pixels are all finished, are passed over in steps 1 and 2.
-// Sums have the same order for four as for eight.
+// Blocks that the splat's ellipse misses, and those whose pixels are all finished, are passed over in steps 1
+// and 2. Sums have the same order for four as for eight.
 //
-// So a splat's gradient is reduced once per tile, no two workgroups write the same row, and there are no atomics: the
-// result is the same on every run.
+// So a splat's gradient is reduced once per tile, no two workgroups write the same row, and there are no
+// atomics: the result is the same on every run.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -20,8 +21,9 @@
 @group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> gradient: array<f32>;
-// [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums of the
-// absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended that have a gradient.
+// [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums
+// of the absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended that have a
+// gradient.
 @group(0) @binding(7) var<storage, read_write> intersection_gradients: array<f32>;
 // Of those that this dispatch has.
 @group(0) @binding(8) var<uniform> first_tile_row: u32;
@@ -41,9 +43,9 @@ const GROUPS: u32 = BATCH / SPLATS_AT_ONCE;
 var<workgroup> range: vec2<u32>;
 var<workgroup> batch: array<array<BatchSplat, SPLATS_AT_ONCE>, GROUPS>;
 var<workgroup> batch_intersections: array<u32, BATCH>;
-// p of each splat, then w [blocks, slots, pixels]; later the parts of the sums (`parts_of`). One number more than there are
-// pixels, so that no two invocations ask the same memory bank. In three dimensions, so that naga checks numbers that stay
-// the same; constants cost nothing.
+// p of each splat, then w [blocks, slots, pixels]; later the parts of the sums (`parts_of`). One number more
+// than there are pixels, so that no two invocations ask the same memory bank. In three dimensions, so that
+// naga checks numbers that stay the same; constants cost nothing.
 const PLANES: u32 = 2u * SPLATS_AT_ONCE;
 var<workgroup> exchange: array<array<array<f32, BLOCK_PIXELS + 1u>, PLANES>, BLOCKS>;
 // Four pixels of a row [channels, parts, 2].
@@ -81,8 +83,8 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
         atomicAdd(&finished_pixels[(*pixel).block], 1u);
         return vec2(0.0);
     }
-    // dL/dalpha: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
-    // ignored, as published (straight-through).
+    // dL/dalpha: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99
+    // is ignored, as published (straight-through).
     let own = dot((*pixel).gradient, splat.rgb);
     let remaining = (*pixel).remaining - weight * own;
     let alpha_gradient = (*pixel).transmittance * own - remaining / (1.0 - alpha);
@@ -91,7 +93,8 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
     return vec2(unclamped * alpha_gradient, weight);
 }
 
-// A row of pixels, and the splat that an invocation sums there: one for each of eight, so with four some have none.
+// A row of pixels, and the splat that an invocation sums there: one for each of eight, so with four some have
+// none.
 struct RowOfPixels {
     block: u32,
     // Of the block; of all blocks.
@@ -158,7 +161,8 @@ fn has_gradient(part: u32, x: u32) -> bool {
         || row_gradients[at + 4u * PARTS][x % 4u] != 0.0;
 }
 
-// Where the parts of a splat's column are: four splats have two of eight blocks each, and columns do not fit one.
+// Where the parts of a splat's column are: four splats have two of eight blocks each, and columns do not fit
+// one.
 fn parts_of(slot: u32, column: u32) -> vec2<u32> {
     return vec2(BLOCKS / SPLATS_AT_ONCE * slot + column / PLANES, column % PLANES);
 }
@@ -191,7 +195,8 @@ fn leave_gradients(lane: u32, gradient: vec3<f32>) {
     }
 }
 
-// Blocks with a pixel that is not finished, for all invocations alike. One that is counted too late only costs time.
+// Blocks with a pixel that is not finished, for all invocations alike. One that is counted too late only
+// costs time.
 fn find_unfinished(lane: u32) -> u32 {
     if lane == 0u {
         var blocks = 0u;

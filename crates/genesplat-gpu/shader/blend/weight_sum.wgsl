@@ -1,4 +1,5 @@
-// Stage `blending_weights`: adds what the backward blending has summed for red on one view, one Gaussian an invocation.
+// Stage `blending_weights`: adds what the backward blending has summed for red on one view, one Gaussian an
+// invocation.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<storage, read> counters: Counters;

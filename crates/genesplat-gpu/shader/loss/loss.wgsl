@@ -1,7 +1,8 @@
-// Stage `loss`, step 1: L1 and SSIM of one tile of one channel, and SSIM's partial derivatives by its moments.
+// Stage `loss`, step 1: L1 and SSIM of one tile of one channel, and SSIM's partial derivatives by its
+// moments.
 //
-// The 11x11 window is separable: moments are blurred along rows, then along columns. Outside of the image everything is
-// zero, as published.
+// The 11x11 window is separable: moments are blurred along rows, then along columns. Outside of the image
+// everything is zero, as published.
 
 // Leave the partial derivatives out: scoring needs the loss only.
 override FORWARD_ONLY: bool;

@@ -1,5 +1,5 @@
-// Stage `loss`, step 3: dL/dimage. SSIM's part is blur(dS/dE[x]) + 2 x blur(dS/dE[x^2]) + y blur(dS/dE[xy]): the window
-// is symmetric.
+// Stage `loss`, step 3: dL/dimage. SSIM's part is blur(dS/dE[x]) + 2 x blur(dS/dE[x^2]) + y blur(dS/dE[xy]):
+// the window is symmetric.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> image: array<f32>;

@@ -1,7 +1,7 @@
 // SSIM at one pixel, from raw moments E[x], E[y], E[x^2 + y^2], E[xy] (x the render, y the photo).
 //
-// S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), variances as E[x^2] - m^2; the two variances
-// only enter as their sum.
+// S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sx^2 + sy^2 + C2)), variances as E[x^2] - m^2; the two
+// variances only enter as their sum.
 
 struct Ssim {
     value: f32,

@@ -1,8 +1,9 @@
-// Stage `adam` of the colours, 64 rows a workgroup. Runs before the positions move, since a coefficient's gradient is
-// its basis function seen from where the Gaussian was rendered.
+// Stage `adam` of the colours, 64 rows a workgroup. Runs before the positions move, since a coefficient's
+// gradient is its basis function seen from where the Gaussian was rendered.
 //
-// An invocation first has four coefficients of a row, which are three vectors of gradients, and leaves them in
-// workgroup memory; then it steps single vectors, so that neighbours touch neighbouring memory, in whole sectors.
+// An invocation first has four coefficients of a row, which are three vectors of gradients, and leaves them
+// in workgroup memory; then it steps single vectors, so that neighbours touch neighbouring memory, in whole
+// sectors.
 //
 // Rows without a splat wait: they have no gradient, and make up for the step later.
 
@@ -21,7 +22,8 @@
 
 // Rows of a workgroup.
 const ROWS: u32 = GROUP / SH_GROUPS;
-// A vector of each row, then the next: one more than there are rows, so that neither side asks one memory bank.
+// A vector of each row, then the next: one more than there are rows, so that neither side asks one memory
+// bank.
 const PITCH: u32 = ROWS + 1u;
 var<workgroup> sh_gradients: array<vec4<f32>, VECTORS * PITCH>;
 

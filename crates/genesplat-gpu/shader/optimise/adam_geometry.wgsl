@@ -1,5 +1,5 @@
-// Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as published:
-// rows without a gradient still move by their momentum.
+// Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as
+// published: rows without a gradient still move by their momentum.
 
 // 1: rows without a splat have gradients, too, those of other views.
 override ALL_ROWS: u32;

@@ -1,4 +1,5 @@
-// Stage `adam` of the colours from the gradients of several views, of which it leaves zeros; one vector an invocation.
+// Stage `adam` of the colours from the gradients of several views, of which it leaves zeros; one vector an
+// invocation.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<uniform> optimiser: Optimiser;

@@ -1,6 +1,7 @@
-// Steps that the optimiser has made since all colours had made all of them: the rates of the first coefficient and of the
-// others, and the second factor. A row that has no splat has no gradient, so that its step depends on nothing else; it
-// makes up for it when it is seen next, or when colours are wanted as a whole. The same operations in the same order.
+// Steps that the optimiser has made since all colours had made all of them: the rates of the first
+// coefficient and of the others, and the second factor. A row that has no splat has no gradient, so that its
+// step depends on nothing else; it makes up for it when it is seen next, or when colours are wanted as a
+// whole. The same operations in the same order.
 
 struct ColourSteps {
     count: u32,

@@ -1,5 +1,5 @@
-// Gradients of several views for one optimiser step: colours, four coefficients of a row an invocation. Runs before the
-// positions move, as `adam_colour` does.
+// Gradients of several views for one optimiser step: colours, four coefficients of a row an invocation. Runs
+// before the positions move, as `adam_colour` does.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;

@@ -1,4 +1,5 @@
-// Gradients of several views for one optimiser step: positions, scales, rotations, opacities; one Gaussian an invocation.
+// Gradients of several views for one optimiser step: positions, scales, rotations, opacities; one Gaussian an
+// invocation.
 
 // 1: the step is made, so the sum takes the place of every row's gradients, and zeros are left; 0: it waits.
 override TAKE: u32;

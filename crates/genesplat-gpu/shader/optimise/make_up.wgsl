@@ -1,5 +1,5 @@
-// The steps of a vector of colours from step `made` on, without gradients. Needs `sh`, `first_moments`, `second_moments` and
-// `steps`.
+// The steps of a vector of colours from step `made` on, without gradients. Needs `sh`, `first_moments`,
+// `second_moments` and `steps`.
 fn make_up(at: u32, made: u32) {
     var value = sh[at];
     var m = first_moments[at];

@@ -1,4 +1,5 @@
-// Every colour makes the steps that it has not made yet, one vector an invocation; then the host clears the account.
+// Every colour makes the steps that it has not made yet, one vector an invocation; then the host clears the
+// account.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<storage, read> steps: ColourSteps;

@@ -1,5 +1,5 @@
-// Stage `noise`: SGLD noise of 3DGS-MCMC, noise_scale * sigmoid(-100 (opacity - 0.005)) * covariance * xi, after the
-// optimiser's step.
+// Stage `noise`: SGLD noise of 3DGS-MCMC, noise_scale * sigmoid(-100 (opacity - 0.005)) * covariance * xi,
+// after the optimiser's step.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<uniform> optimiser: Optimiser;

@@ -1,5 +1,5 @@
-// Stage `project_backward`: from the gradients of a splat's intersections back to its raw parameters, one Gaussian an
-// invocation. Exact derivatives of `geometry_of`, step by step in reverse.
+// Stage `project_backward`: from the gradients of a splat's intersections back to its raw parameters, one
+// Gaussian an invocation. Exact derivatives of `geometry_of`, step by step in reverse.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;
@@ -11,8 +11,9 @@
 @group(0) @binding(7) var<storage, read> first_intersections: array<u32>;
 // [I, 3] vectors
 @group(0) @binding(8) var<storage, read> intersection_gradients: array<vec4<f32>>;
-// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, weight of the density. Rows
-// without a splat are not written, nor read by any stage: that would be most of the memory that both touch.
+// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, weight of the
+// density. Rows without a splat are not written, nor read by any stage: that would be most of the memory that
+// both touch.
 @group(0) @binding(9) var<storage, read_write> gradients: array<vec4<f32>>;
 
 // Adds what the opacity factor of the screen filter contributes to the covariance.
@@ -43,7 +44,8 @@ fn covariance_gradient(conic: vec3<f32>, second: vec3<f32>) -> vec3<f32> {
         0.5 * (m00 * conic.x + m01 * conic.y), m00 * conic.y + m01 * conic.z, 0.5 * (m10 * conic.y + m11 * conic.z));
 }
 
-// Through u = J R_view and the mean, with the exact derivative of the Jacobian's clamp: dL/dt in camera coordinates.
+// Through u = J R_view and the mean, with the exact derivative of the Jacobian's clamp: dL/dt in camera
+// coordinates.
 fn camera_gradient(g: Geometry, u0: vec3<f32>, u1: vec3<f32>, mean_gradient: vec2<f32>) -> vec3<f32> {
     let focal = vec2(view.focal_x, view.focal_y);
     let diagonal = vec2(dot(u0, view.camera_x.xyz), dot(u1, view.camera_y.xyz));
@@ -124,7 +126,8 @@ fn sh_direction_gradient(degree: u32, group: u32, d: vec3<f32>, weights: vec4<f3
     }
 }
 
-// The density signal of one view, by normalised device coordinate, and its weight where that is not 1: pixels.
+// The density signal of one view, by normalised device coordinate, and its weight where that is not 1:
+// pixels.
 fn density_of(mean_gradient: vec2<f32>, absolute: vec2<f32>, pixels: f32, depth: f32) -> vec2<f32> {
     let ndc = 0.5 * vec2(f32(view.width), f32(view.height));
     switch view.signal {
@@ -149,7 +152,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         tiles = tile_counts[row];
         first = first_intersections[row];
     }
-    // 1. Sums over the splat's tiles. What no pixel shows, most of all what is hidden by others, has no gradients.
+    // 1. Sums over the splat's tiles. What no pixel shows, most of all what is hidden by others, has no
+    //    gradients.
     let sums = sums_of_splat(first, tiles & COUNT_BITS, lane);
     if (tiles & SPLAT_BIT) == 0u {
         return;

@@ -1,6 +1,6 @@
-// Row edits of positions, scales and opacities: clones are exact copies, split children are drawn from their parent's
-// own distribution and are 1.6 times smaller, long-axis children part along their parent's longest axis and share it,
-// relocated Gaussians take over opacity and scales from the plan.
+// Row edits of positions, scales and opacities: clones are exact copies, split children are drawn from their
+// parent's own distribution and are 1.6 times smaller, long-axis children part along their parent's longest
+// axis and share it, relocated Gaussians take over opacity and scales from the plan.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<uniform> edit: Edit;

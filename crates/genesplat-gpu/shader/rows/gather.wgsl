@@ -1,5 +1,5 @@
-// Row edits: new rows of a column are copies of old ones, as the plan says. Where a column is cut in windows, this runs
-// for each pair of an old and a new window, and copies the rows whose source is in the old one.
+// Row edits: new rows of a column are copies of old ones, as the plan says. Where a column is cut in windows,
+// this runs for each pair of an old and a new window, and copies the rows whose source is in the old one.
 
 // Vectors of a row.
 override VECTORS: u32;

@@ -1,4 +1,5 @@
-// Opacity reset: min(opacity, ceiling) of the opacity that the 3D filter leaves; the moments of opacity are zeroed.
+// Opacity reset: min(opacity, ceiling) of the opacity that the 3D filter leaves; the moments of opacity are
+// zeroed.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<uniform> edit: Edit;

@@ -1,5 +1,5 @@
-// Stage `score`, step 1: the row versions of a pool, one an invocation, become the splats of one cloud. Colour,
-// rotation and 3D filter are those of the row.
+// Stage `score`, step 1: the row versions of a pool, one an invocation, become the splats of one cloud.
+// Colour, rotation and 3D filter are those of the row.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 // The rows of this binding, and their versions.

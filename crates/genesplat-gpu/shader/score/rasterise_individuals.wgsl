@@ -1,7 +1,7 @@
 // Stage `score`, step 2: the pictures that sixteen individuals make of one tile, one pixel an invocation.
 //
-// The list of a tile has the row versions of the whole pool. Of the next 256 those that any of the sixteen holds are
-// loaded; the alpha of each is evaluated once, and blended for those that hold it.
+// The list of a tile has the row versions of the whole pool. Of the next 256 those that any of the sixteen
+// holds are loaded; the alpha of each is evaluated once, and blended for those that hold it.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -60,8 +60,8 @@ fn largest(v: vec4<f32>) -> f32 {
     return max(max(v.x, v.y), max(v.z, v.w));
 }
 
-// Blends a splat into the pixel of those of four individuals that hold it. Where pixels may finish, as in `rasterise`:
-// what would leave less than 1e-4 of the light finishes the pixel, and is not blended.
+// Blends a splat into the pixel of those of four individuals that hold it. Where pixels may finish, as in
+// `rasterise`: what would leave less than 1e-4 of the light finishes the pixel, and is not blended.
 fn blend(accumulated: ptr<function, Accumulated>, held: u32, alpha: f32, rgb: vec3<f32>, may_finish: bool) {
     let alphas = select(vec4(0.0), vec4(alpha), (vec4(held) & vec4(1u, 2u, 4u, 8u)) != vec4(0u));
     let before = (*accumulated).transmittance;
@@ -93,7 +93,8 @@ fn dimming_of(log2_opacity: f32) -> u32 {
     return u32(-log2(1.0 - min(exp2(log2_opacity), ALPHA_MAX)) * DIMMING_STEPS) + 1u;
 }
 
-// Blends a batch of `count` splats into a pixel of sixteen individuals; true where it is finished for all of them.
+// Blends a batch of `count` splats into a pixel of sixteen individuals; true where it is finished for all of
+// them.
 fn blend_batch(
     a: ptr<function, Accumulated>,
     b: ptr<function, Accumulated>,

@@ -1,4 +1,5 @@
-// Stage `score`, step 3: one loss and one squared error a layer, from the sums of its tiles; one workgroup a layer.
+// Stage `score`, step 3: one loss and one squared error a layer, from the sums of its tiles; one workgroup a
+// layer.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 // First individual, number of individuals; view, number of views.

@@ -1,5 +1,5 @@
-// Spherical harmonics of one Gaussian seen from one camera. Coefficients are outermost, so that a group of four
-// coefficients of three channels is three vectors.
+// Spherical harmonics of one Gaussian seen from one camera. Coefficients are outermost, so that a group of
+// four coefficients of three channels is three vectors.
 
 // Groups of four coefficients, and those that hold the active ones.
 const SH_GROUPS: u32 = 4u;
@@ -8,8 +8,8 @@ fn sh_groups(degree: u32) -> u32 {
     return ((degree + 1u) * (degree + 1u) + 3u) / 4u;
 }
 
-// The four basis functions of one of these groups at a unit direction; 0 above the degree. A vector of known places: an
-// array of all sixteen would lie in memory.
+// The four basis functions of one of these groups at a unit direction; 0 above the degree. A vector of known
+// places: an array of all sixteen would lie in memory.
 fn sh_basis(degree: u32, group: u32, d: vec3<f32>) -> vec4<f32> {
     let x = d.x; let y = d.y; let z = d.z;
     let xx = x * x; let yy = y * y; let zz = z * z;

@@ -9,7 +9,8 @@ fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }
 
-// By bits, too: what comparisons, minima and maxima make of a NaN is the driver's choice, so none of them can find one.
+// By bits, too: what comparisons, minima and maxima make of a NaN is the driver's choice, so none of them can
+// find one.
 fn has_nan(v: vec4<f32>) -> bool {
     return any((bitcast<vec4<u32>>(v) & vec4(0x7fffffffu)) > vec4(0x7f800000u));
 }
@@ -28,7 +29,8 @@ fn saturating_add(a: u32, b: u32) -> u32 {
     return a + min(b, ~a);
 }
 
-// High bits of a tile count: the row's 3-sigma square meets a tile (what density averages count); the row has a splat.
+// High bits of a tile count: the row's 3-sigma square meets a tile (what density averages count); the row has
+// a splat.
 const SEEN_BIT: u32 = 0x80000000u;
 const SPLAT_BIT: u32 = 0x40000000u;
 const COUNT_BITS: u32 = 0x3fffffffu;

@@ -1,5 +1,6 @@
-// Steps 1 to 5 of the projection: everything between raw parameters and the screen. The backward pass computes it again
-// rather than reading hundreds of bytes a Gaussian. Formulas: 3DGS, section 4 and appendix A; Zwicker et al. 2001.
+// Steps 1 to 5 of the projection: everything between raw parameters and the screen. The backward pass
+// computes it again rather than reading hundreds of bytes a Gaussian. Formulas: 3DGS, section 4 and appendix
+// A; Zwicker et al. 2001.
 
 struct Params {
     position: vec3<f32>,
@@ -94,7 +95,8 @@ fn geometry_of(p: Params) -> Geometry {
     g.cov_raw = vec3(
         dot(g.variance * g.w0, g.w0), dot(g.variance * g.w0, g.w1), dot(g.variance * g.w1, g.w1));
     g.cov = g.cov_raw + vec3(view.dilation, 0.0, view.dilation);
-    // As a sum of squares (Cauchy and Binet): xx yy - xy^2 of a needle is a small difference of large numbers.
+    // As a sum of squares (Cauchy and Binet): xx yy - xy^2 of a needle is a small difference of large
+    // numbers.
     let minors = cross(g.w0, g.w1);
     g.det_raw = dot(minors * minors, g.variance.yzx * g.variance.zxy);
     g.det = g.det_raw + view.dilation * (g.cov_raw.x + g.cov_raw.z) + view.dilation * view.dilation;
@@ -108,8 +110,8 @@ fn geometry_of(p: Params) -> Geometry {
     return g;
 }
 
-// In front of the near plane, with an invertible covariance; false for anything that is not finite, so that a diverged
-// Gaussian disappears instead of spreading.
+// In front of the near plane, with an invertible covariance; false for anything that is not finite, so that a
+// diverged Gaussian disappears instead of spreading.
 fn is_valid(g: Geometry) -> bool {
     return !g.has_nan_parameter && g.t.z > view.near && g.det > 0.0 && is_finite(g.det) && is_finite(g.t.z);
 }

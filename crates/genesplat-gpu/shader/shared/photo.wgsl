@@ -1,4 +1,5 @@
-// Photos, red in the lowest byte of a word, then green and blue [H, W]. The highest byte is 0 where the pixel counts.
+// Photos, red in the lowest byte of a word, then green and blue [H, W]. The highest byte is 0 where the pixel
+// counts.
 
 // A channel of an 8-bit photo in [0, 1].
 fn photo_value(rgb: u32, channel: u32) -> f32 {

@@ -1,5 +1,5 @@
-// Do subgroups do here what the kernels that use them rely on? One workgroup; each invocation writes the size of its
-// subgroup, or 0 where something is wrong.
+// Do subgroups do here what the kernels that use them rely on? One workgroup; each invocation writes the size
+// of its subgroup, or 0 where something is wrong.
 
 @group(0) @binding(0) var<storage, read_write> width_found: array<u32>;
 

@@ -25,9 +25,9 @@ fn philox(start: vec4<u32>, first_key: vec2<u32>) -> vec4<u32> {
     return c;
 }
 
-// Two standard normal numbers (Box-Muller), which the CPU computes in f64. The words are the CPU's to the bit, but how
-// near these come is the driver's choice: WGSL promises sines and cosines within 2^-11 (most drivers are far better),
-// and only from -pi to pi.
+// Two standard normal numbers (Box-Muller), which the CPU computes in f64. The words are the CPU's to the
+// bit, but how near these come is the driver's choice: WGSL promises sines and cosines within 2^-11 (most
+// drivers are far better), and only from -pi to pi.
 fn normals(a: u32, b: u32) -> vec2<f32> {
     // (0, 1]: the logarithm never sees zero.
     let u = (f32(a) + 1.0) * (1.0 / 4294967296.0);

@@ -39,8 +39,8 @@ fn splat_from(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> Splat {
     return Splat(a.xy, a.z, vec2(a.w, b.w), b.xyz, c.xyz, bitcast<u32>(c.w) & 7u);
 }
 
-// log2(o G) at an offset from the mean. No Gaussian exceeds its opacity, but far from the mean of a needle large terms
-// cancel, and rounding may leave anything.
+// log2(o G) at an offset from the mean. No Gaussian exceeds its opacity, but far from the mean of a needle
+// large terms cancel, and rounding may leave anything.
 fn exponent_at(conic_log2: vec3<f32>, log2_opacity: f32, d: vec2<f32>) -> f32 {
     let power = (conic_log2.x * d.x + conic_log2.y * d.y) * d.x + conic_log2.z * d.y * d.y;
     return min(power + log2_opacity, log2_opacity);

@@ -23,15 +23,16 @@ fn sum_of(first: u32, end: u32, pitch: u32) -> Sums {
     return sums;
 }
 
-// Splats of so many tiles that one invocation would keep all others waiting: first intersection, the one after the last,
-// invocation. No vectors: these would be of four numbers in memory, and exceed the 16 KiB that every device has.
+// Splats of so many tiles that one invocation would keep all others waiting: first intersection, the one
+// after the last, invocation. No vectors: these would be of four numbers in memory, and exceed the 16 KiB
+// that every device has.
 var<workgroup> wide: array<array<u32, 3>, GROUP>;
 var<workgroup> wide_found: atomic<u32>;
 var<workgroup> wide_count: u32;
 var<workgroup> partial_sums: array<Sums, GROUP>;
 
-// The sums of an invocation's splat. All invocations of the workgroup must ask: together they sum those of wide splats,
-// always in the same order.
+// The sums of an invocation's splat. All invocations of the workgroup must ask: together they sum those of
+// wide splats, always in the same order.
 fn sums_of_splat(first: u32, count: u32, lane: u32) -> Sums {
     if lane == 0u {
         atomicStore(&wide_found, 0u);

@@ -10,8 +10,8 @@ fn sum_at(first: u32, at: u32, count: u32) -> vec4<f32> {
     return vec4(0.0);
 }
 
-// The mean over the pixels and channels of one layer, for invocation 0. Four sums an invocation, so that no addition
-// waits for the one before it, then a tree: always in the same order.
+// The mean over the pixels and channels of one layer, for invocation 0. Four sums an invocation, so that no
+// addition waits for the one before it, then a tree: always in the same order.
 fn mean_of_layer(layer: u32, lane: u32) -> vec4<f32> {
     let count = 3u * view.tiles_x * view.tiles_y;
     let first = layer * count;

@@ -41,7 +41,10 @@ impl GpuBackend {
             let mut recorder = Recorder::new(&gpu.engine, None);
             recorder.clear(&sums, sums.bytes);
             recorder.submit();
-            gpu.submit_maps(views, map_of, settings, |place| Sums { memory: &sums, first: place as u64 * pitch })
+            gpu.submit_maps(views, map_of, settings, |place| Sums {
+                memory: &sums,
+                first: place as u64 * pitch,
+            })
         })?;
         Ok((0..views.len()).map(|place| values[place * pitch as usize..][..rows].to_vec()).collect())
     }
@@ -79,9 +82,13 @@ impl GpuBackend {
             pixels.record_backward(recorder, lists, &pass);
             recorder.stage("weight_sum");
             for window in gpu.state.trained.windows() {
-                let [counters, tile_counts, first, gradients] =
-                    [&lists.counters, &lists.tile_counts, &lists.first_intersections, &pixels.intersection_gradients]
-                        .map(Memory::all);
+                let [counters, tile_counts, first, gradients] = [
+                    &lists.counters,
+                    &lists.tile_counts,
+                    &lists.first_intersections,
+                    &pixels.intersection_gradients,
+                ]
+                .map(Memory::all);
                 let parts = [window.uniform.all(), counters, tile_counts, first, gradients, sums.at(window)];
                 recorder.run(&shaders::WEIGHT_SUM, &parts, Grid::Items(window.count));
             }

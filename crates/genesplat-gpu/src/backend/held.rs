@@ -123,7 +123,10 @@ impl GpuBackend {
     /// The cloud as a training view sees it.
     pub(crate) fn pass_of(&self, view: usize, settings: &RenderSettings) -> ViewPass {
         let TrainView { camera, counted, .. } = &self.views[view];
-        ViewPass { is_masked: counted.is_some().into(), ..ViewPass::new(camera, settings, self.state.trained.rows()) }
+        ViewPass {
+            is_masked: counted.is_some().into(),
+            ..ViewPass::new(camera, settings, self.state.trained.rows())
+        }
     }
 
     /// Submits a view of the cloud, or of the mean: splats, tile lists, picture, and what `record` adds.

@@ -22,7 +22,8 @@ impl GpuBackend {
             gpu.state.prepare(&gpu.engine, held);
             for (place, &view) in views.iter().enumerate() {
                 gpu.engine.pace(place)?;
-                let place = window_uniform(&gpu.engine, [0, 1], [place, views.len()].map(|number| number as u32))?;
+                let place =
+                    window_uniform(&gpu.engine, [0, 1], [place, views.len()].map(|number| number as u32))?;
                 gpu.submit_loss(held, view, settings, &place, &losses)?;
             }
             Ok(())

@@ -126,7 +126,12 @@ impl Device for GpuBackend {
         })
     }
 
-    fn score(&mut self, population: &[SparseDelta], views: &[usize], settings: &RenderSettings) -> Result<Vec<f32>> {
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>> {
         self.finish_queued_steps()?;
         self.score_population(population, views, settings)
     }

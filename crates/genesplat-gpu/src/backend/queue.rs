@@ -1,13 +1,13 @@
 //! Steps that wait in a queue, tile lists that overflow, and memory that does not suffice.
 //!
-//! **No read-back in a step.** The host does not wait for a step. When its tile lists do not fit their buffers, or its
-//! loss is not finite, the device sets a flag, and from there on no step changes anything. The host keeps the queued
-//! steps and reads the flag before it reads or edits anything, and every 32 steps. After an overflow it allocates more
-//! and submits the steps that were not done once more.
+//! **No read-back in a step.** The host does not wait for a step. When its tile lists do not fit their
+//! buffers, or its loss is not finite, the device sets a flag, and from there on no step changes anything.
+//! The host keeps the queued steps and reads the flag before it reads or edits anything, and every 32 steps.
+//! After an overflow it allocates more and submits the steps that were not done once more.
 //!
-//! **Out of memory.** Every verb allocates what it needs before it changes anything, so the run can be saved. Before it
-//! fails it is tried once more without the buffers of steps, scores and blends, which can be made again
-//! ([`GpuBackend::with_memory`]).
+//! **Out of memory.** Every verb allocates what it needs before it changes anything, so the run can be saved.
+//! Before it fails it is tried once more without the buffers of steps, scores and blends, which can be made
+//! again ([`GpuBackend::with_memory`]).
 
 use genesplat_core::backend::StepReport;
 use genesplat_core::{BackendError, Held, TrainStep};
@@ -83,7 +83,8 @@ impl GpuBackend {
         Ok(counters)
     }
 
-    /// Does `verb` after all steps; without memory for it, once more after everything that can be made again was freed.
+    /// Does `verb` after all steps; without memory for it, once more after everything that can be made again
+    /// was freed.
     pub(crate) fn with_memory<T>(&mut self, mut verb: impl FnMut(&mut Self) -> Result<T>) -> Result<T> {
         self.finish_queued_steps()?;
         match verb(self) {

@@ -73,15 +73,17 @@ impl GpuBackend {
     ) -> Result<Option<Vec<f32>>> {
         let visible = self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS));
         let most = if individuals.len() == 1 { u64::MAX } else { visible };
-        let Some(pool) = Pool::upload(&self.engine, &self.state.trained, individuals, most)? else { return Ok(None) };
+        let Some(pool) = Pool::upload(&self.engine, &self.state.trained, individuals, most)? else {
+            return Ok(None);
+        };
         let count = u64::from(pool.individuals) * views.len() as u64;
         let losses = self.engine.allocate("losses", 8 * count)?;
-        let values: Vec<[f32; 2]> = self.until_lists_fit(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
-            views
-                .iter()
-                .enumerate()
-                .try_for_each(|(index, &view)| gpu.submit_pool(&pool, view, settings, [index, views.len()], &losses))
-        })?;
+        let values: Vec<[f32; 2]> =
+            self.until_lists_fit(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
+                views.iter().enumerate().try_for_each(|(index, &view)| {
+                    gpu.submit_pool(&pool, view, settings, [index, views.len()], &losses)
+                })
+            })?;
         Ok(Some(values.into_iter().map(|[loss, _]| loss).collect()))
     }
 
@@ -109,7 +111,8 @@ impl GpuBackend {
 
         recorder.stage("score_rasterise");
         let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
-        let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
+        let parts =
+            [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
         lists.run_tiles(&mut recorder, &pass, rasterise_individuals(layers), &parts);
 
         recorder.stage("score_loss");

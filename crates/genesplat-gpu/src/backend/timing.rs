@@ -24,7 +24,8 @@ impl GpuBackend {
     pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>> {
         self.finish_queued_steps()?;
         let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
-        let seconds = if timestamps.stages.is_empty() { Vec::new() } else { timestamps.seconds(&self.engine)? };
+        let seconds =
+            if timestamps.stages.is_empty() { Vec::new() } else { timestamps.seconds(&self.engine)? };
         timestamps.stages.clear();
         Ok(seconds)
     }

@@ -56,14 +56,15 @@ pub fn adapters() -> &'static [AdapterReport] {
     REPORTS.get_or_init(|| found().iter().map(report).collect())
 }
 
-/// The devices, best first. Drivers are asked once a process: it takes a while, and some write to stderr each time.
+/// The devices, best first. Drivers are asked once a process: it takes a while, and some write to stderr each
+/// time.
 fn found() -> &'static [Adapter] {
     static FOUND: OnceLock<Vec<Adapter>> = OnceLock::new();
     FOUND.get_or_init(|| {
         let instance = Instance::new(InstanceDescriptor {
             backends: Backends::PRIMARY,
-            // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within
-            // limits by construction.
+            // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are
+            // within limits by construction.
             flags: InstanceFlags::empty(),
             ..InstanceDescriptor::new_without_display_handle()
         });

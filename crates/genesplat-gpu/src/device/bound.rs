@@ -1,5 +1,5 @@
-//! What kernels are bound to, kept from step to step: nothing changes there until memory is freed, and a bind group costs
-//! more than a dispatch.
+//! What kernels are bound to, kept from step to step: nothing changes there until memory is freed, and a bind
+//! group costs more than a dispatch.
 
 use std::cell::RefCell;
 use std::collections::HashMap;

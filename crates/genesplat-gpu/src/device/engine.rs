@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use genesplat_core::BackendError;
 use wgpu::{
-    BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
-    DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor,
-    ShaderSource,
+    BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device,
+    DeviceDescriptor, DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue,
+    ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::Result;
@@ -24,18 +24,18 @@ use crate::layout::SH_FLOATS;
 /// Views that may be submitted without a wait.
 const QUEUED_VIEWS_MAX: usize = 32;
 
-/// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
-/// Software drivers are slow, and 32 steps may be in the queue.
+/// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host
+/// forever. Software drivers are slow, and 32 steps may be in the queue.
 const WAIT_MAX: Duration = Duration::from_secs(600);
 
-/// Instructions, of all invocations together, that a submission is to take at most: half a second of a weak device, by the
-/// kind that it is. If they reach a fifth of their peaks, integrated ones of 0.4 TFLOPS make 40 G a second, and discrete ones
-/// of 2.5 TFLOPS 250 G.
+/// Instructions, of all invocations together, that a submission is to take at most: half a second of a weak
+/// device, by the kind that it is. If they reach a fifth of their peaks, integrated ones of 0.4 TFLOPS make
+/// 40 G a second, and discrete ones of 2.5 TFLOPS 250 G.
 const INTEGRATED_INSTRUCTIONS: u64 = 1 << 34;
 const DISCRETE_INSTRUCTIONS: u64 = 1 << 37;
 
-/// wgpu tells Metal's kernels how long a binding is in 32 bits, whatever limit it reports: they would see no more. A multiple of
-/// what bindings begin at.
+/// wgpu tells Metal's kernels how long a binding is in 32 bits, whatever limit it reports: they would see no
+/// more. A multiple of what bindings begin at.
 const BINDING_BYTES_MAX: u64 = !255u32 as u64;
 
 pub(super) type KernelKey = (&'static str, Vec<(&'static str, u32)>);
@@ -142,7 +142,8 @@ impl Engine {
         Ok(if trusts { engine } else { engine.without_subgroups() })
     }
 
-    /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting of columns.
+    /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting
+    /// of columns.
     #[cfg(test)]
     pub(crate) fn with_window_rows(mut self, rows: u64) -> Self {
         self.window_rows = self.window_rows.min(rows);
@@ -164,7 +165,8 @@ impl Engine {
         self
     }
 
-    /// From now on kernels are what `rewrite` makes of them; those that it leaves as they were are not compiled anew.
+    /// From now on kernels are what `rewrite` makes of them; those that it leaves as they were are not
+    /// compiled anew.
     #[cfg(test)]
     pub(crate) fn set_rewrite(&mut self, rewrite: Rewrite) {
         let text = |rewrite: Option<&Rewrite>, name| {
@@ -197,13 +199,15 @@ impl Engine {
         self.waits.set(self.waits.get() + 1);
         match self.device.poll(PollType::Wait { submission_index: None, timeout: Some(WAIT_MAX) }) {
             Ok(_) => self.check(),
-            Err(PollError::Timeout) => Err(self.is_lost(&format!("it has not answered for {} s", WAIT_MAX.as_secs()))),
+            Err(PollError::Timeout) => {
+                Err(self.is_lost(&format!("it has not answered for {} s", WAIT_MAX.as_secs())))
+            }
             Err(error) => Err(self.is_lost(&error.to_string())),
         }
     }
 
-    /// Waits after every few of many views that are submitted, `view` of them before this one: a slow device never has to answer
-    /// for hundreds at once, which would look as if it were lost.
+    /// Waits after every few of many views that are submitted, `view` of them before this one: a slow device
+    /// never has to answer for hundreds at once, which would look as if it were lost.
     pub(crate) fn pace(&self, view: usize) -> Result<()> {
         if view > 0 && view.is_multiple_of(QUEUED_VIEWS_MAX) { self.wait() } else { Ok(()) }
     }
@@ -236,7 +240,8 @@ impl Engine {
             label: Some(shader.name),
             source: ShaderSource::Wgsl(self.source(shader).into()),
         });
-        let constants: Vec<(&str, f64)> = overrides.iter().map(|&(name, value)| (name, value.into())).collect();
+        let constants: Vec<(&str, f64)> =
+            overrides.iter().map(|&(name, value)| (name, value.into())).collect();
         let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
             label: Some(shader.name),
             layout: None,
@@ -261,7 +266,8 @@ fn watch(device: &Device) -> Arc<Failures> {
     let [by_loss, by_error] = [Arc::clone(&failures), Arc::clone(&failures)];
     device.set_device_lost_callback(move |_, message| drop(by_loss.lost.set(message)));
     device.on_uncaptured_error(Arc::new(move |error| {
-        let kind = if matches!(error, wgpu::Error::Validation { .. }) { &by_error.refused } else { &by_error.lost };
+        let kind =
+            if matches!(error, wgpu::Error::Validation { .. }) { &by_error.refused } else { &by_error.lost };
         drop(kind.set(error.to_string()));
     }));
     failures

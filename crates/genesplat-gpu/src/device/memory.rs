@@ -23,7 +23,8 @@ pub(crate) const BUFFER_BYTES_STEP: u64 = 16;
 /// Bytes that may wait to be copied to the device, 64 MiB: they lie in the host's memory once more.
 const WRITTEN_BYTES_MAX: usize = 64 << 20;
 
-/// Bytes that are read back at once, 256 MiB: a whole cloud may exceed the largest buffer that a device makes.
+/// Bytes that are read back at once, 256 MiB: a whole cloud may exceed the largest buffer that a device
+/// makes.
 const READ_BYTES_MAX: u64 = 256 << 20;
 
 #[derive(Debug)]
@@ -74,7 +75,8 @@ pub(crate) struct Part<'a> {
 
 /// How much is allocated, and how much is on its way to the device.
 pub(crate) struct MemoryUse {
-    /// Limits, which tests lower: bytes that may be allocated, that may wait to be copied, that are read at once.
+    /// Limits, which tests lower: bytes that may be allocated, that may wait to be copied, that are read at
+    /// once.
     pub(crate) limit_bytes: u64,
     pub(crate) written_bytes_max: usize,
     pub(crate) read_bytes_max: u64,
@@ -125,8 +127,9 @@ impl Engine {
         Ok(Memory { buffer, bytes, purpose, number, allocated, bound })
     }
 
-    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no memory for
-    /// the old and the new one at once, the old one goes first; where there is none then, nothing is left of it.
+    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no
+    /// memory for the old and the new one at once, the old one goes first; where there is none then, nothing
+    /// is left of it.
     pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<()> {
         // Even no bytes are a buffer, which may have been released.
         if memory.bytes >= bytes.max(BUFFER_BYTES_MIN) {

@@ -1,12 +1,14 @@
-//! What every shader begins with: the constants and structs of [`crate::layout`] and of [`genesplat_core`], in
-//! WGSL.
+//! What every shader begins with: the constants and structs of [`crate::layout`] and of [`genesplat_core`],
+//! in WGSL.
 
 use genesplat_core::constants::{
-    ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, ALPHA_MAX, ALPHA_MIN, ANTIALIAS_RATIO_MIN, DISCRIMINANT_MIN, LAMBDA_DSSIM,
-    MIP_EPSILON, NOISE_OPACITY, NOISE_STEEPNESS, SSIM_C1, SSIM_C2, SSIM_RADIUS, TRANSMITTANCE_MIN, ssim_window,
+    ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, ALPHA_MAX, ALPHA_MIN, ANTIALIAS_RATIO_MIN, DISCRIMINANT_MIN,
+    LAMBDA_DSSIM, MIP_EPSILON, NOISE_OPACITY, NOISE_STEEPNESS, SSIM_C1, SSIM_C2, SSIM_RADIUS,
+    TRANSMITTANCE_MIN, ssim_window,
 };
 use genesplat_core::edit::{
-    LONG_AXIS_OFFSET, LONG_AXIS_OPACITY, LONG_AXIS_OPACITY_MIN, LONG_AXIS_SHRINK, LONG_AXIS_WIDTH, SPLIT_SHRINK,
+    LONG_AXIS_OFFSET, LONG_AXIS_OPACITY, LONG_AXIS_OPACITY_MIN, LONG_AXIS_SHRINK, LONG_AXIS_WIDTH,
+    SPLIT_SHRINK,
 };
 use genesplat_core::rng::Stream;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3};

@@ -1,5 +1,6 @@
-//! What a device's subgroups really do. WGSL promises neither that a subgroup's invocations are neighbours nor that all
-//! of them are there, and drivers get ballots wrong. So a kernel tests it before any other relies on it.
+//! What a device's subgroups really do. WGSL promises neither that a subgroup's invocations are neighbours
+//! nor that all of them are there, and drivers get ballots wrong. So a kernel tests it before any other
+//! relies on it.
 
 use wgpu::ErrorFilter;
 
@@ -20,10 +21,11 @@ pub(crate) fn subgroup_width(engine: &Engine) -> Result<Option<u32>> {
     Ok(widths.filter(is_right).map(|widths| widths[0]))
 }
 
-/// What `run` comes to; `None` where the device refuses a kernel of it, as one that does not compile here: that is an answer,
-/// too.
+/// What `run` comes to; `None` where the device refuses a kernel of it, as one that does not compile here:
+/// that is an answer, too.
 pub(crate) fn attempt<T>(engine: &Engine, run: impl FnOnce() -> Result<T>) -> Result<Option<T>> {
-    let scopes = [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));
+    let scopes =
+        [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));
     let result = run();
     let errors = scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop()));
     if errors.count() > 0 { Ok(None) } else { result.map(Some) }

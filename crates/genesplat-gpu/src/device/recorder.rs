@@ -1,5 +1,6 @@
-//! A list of dispatches, stage by stage. It is submitted at once, unless a weak device would take too long for it: some
-//! drivers take a submission of two seconds for a hang. How long it takes is predicted by its instructions.
+//! A list of dispatches, stage by stage. It is submitted at once, unless a weak device would take too long
+//! for it: some drivers take a submission of two seconds for a hang. How long it takes is predicted by its
+//! instructions.
 
 use wgpu::{CommandEncoder, ComputePass, ComputePassDescriptor, ComputePassTimestampWrites};
 
@@ -93,8 +94,8 @@ impl<'a> Recorder<'a> {
         self.engine.instructions_max
     }
 
-    /// The same for what is predicted to take so many instructions, because it has long loops, or only the device knows its
-    /// grid.
+    /// The same for what is predicted to take so many instructions, because it has long loops, or only the
+    /// device knows its grid.
     pub(crate) fn run_long(
         &mut self,
         shader: &'static Shader,
@@ -118,7 +119,9 @@ impl<'a> Recorder<'a> {
             Grid::Items(items) => dispatch_row(pass, items.div_ceil(GROUP.into())),
             Grid::Groups(groups) => dispatch_row(pass, groups),
             Grid::Exact([x, y, z]) => pass.dispatch_workgroups(x, y, z),
-            Grid::Device(memory, slot) => pass.dispatch_workgroups_indirect(&memory.buffer, u64::from(slot) * 12),
+            Grid::Device(memory, slot) => {
+                pass.dispatch_workgroups_indirect(&memory.buffer, u64::from(slot) * 12)
+            }
         }
     }
 

@@ -1,8 +1,8 @@
 //! The table of shaders: which texts make each of them.
 //!
-//! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point is `main`. Two of
-//! the shared parts exist twice, with subgroups and without. Everything is compiled in, and validated by a test that
-//! needs no device.
+//! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point is
+//! `main`. Two of the shared parts exist twice, with subgroups and without. Everything is compiled in, and
+//! validated by a test that needs no device.
 
 use crate::device::adapter::WORKGROUP_BYTES;
 use crate::device::prelude::prelude;
@@ -211,7 +211,8 @@ mod tests {
     #[test]
     fn every_shader_is_valid() {
         assert!(ALL.len() > 20, "the table lists all shaders");
-        for (shader, source, capabilities) in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES].into_iter().flat_map(all) {
+        for (shader, source, capabilities) in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES].into_iter().flat_map(all)
+        {
             let module = parse(shader, &source);
             let validated = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
             if let Err(error) = validated {
@@ -226,10 +227,16 @@ mod tests {
             let (mut buffers, mut bytes) = (0, 0);
             for module in all(most).map(|(shader, source, _)| parse(shader, &source)) {
                 let of = |wanted: fn(AddressSpace) -> bool| {
-                    module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
+                    module
+                        .global_variables
+                        .iter()
+                        .map(|(_, variable)| variable)
+                        .filter(move |v| wanted(v.space))
                 };
-                let size = |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
-                buffers = buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
+                let size =
+                    |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
+                buffers =
+                    buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
                 bytes = bytes.max(of(|space| space == AddressSpace::WorkGroup).map(size).sum::<u32>());
             }
             assert_eq!(buffers, STORAGE_BUFFERS);
@@ -273,7 +280,9 @@ mod tests {
         ];
         for (name, fields, size) in structs {
             let found = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).expect(name).1;
-            let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is a struct") };
+            let naga::TypeInner::Struct { members, span } = &found.inner else {
+                panic!("{name} is a struct")
+            };
             let wgsl: Vec<_> = members
                 .iter()
                 .map(|member| (member.name.as_deref().unwrap_or_default(), member.offset as usize))

@@ -1,18 +1,20 @@
 //! Loops of constant length, written out.
 //!
-//! naga gives every loop a counter of its own, so that a wrong bound cannot hang a device. That counter hides from
-//! NVIDIA's compiler that a loop is eight steps long: it is not unrolled, and an array that is indexed by the step
-//! becomes a chain of comparisons. `lab/performance.md` has what that cost. So a loop that counts by constants is
-//! written out when a shader is put together: each step is a block that begins with the value of the variable, as a
-//! constant. The files stay ordinary WGSL, and nothing is trusted that was checked before.
+//! naga gives every loop a counter of its own, so that a wrong bound cannot hang a device. That counter hides
+//! from NVIDIA's compiler that a loop is eight steps long: it is not unrolled, and an array that is indexed
+//! by the step becomes a chain of comparisons. `lab/performance.md` has what that cost. So a loop that counts
+//! by constants is written out when a shader is put together: each step is a block that begins with the value
+//! of the variable, as a constant. The files stay ordinary WGSL, and nothing is trusted that was checked
+//! before.
 
 /// Steps of the longest loop that is written out.
 const STEPS_MAX: usize = 32;
 
-/// The same shader without comments, and without loops whose header is made of constants. What has no constant header,
-/// too many steps, or a `break` or `continue` of any loop in it, stays a loop.
+/// The same shader without comments, and without loops whose header is made of constants. What has no
+/// constant header, too many steps, or a `break` or `continue` of any loop in it, stays a loop.
 pub(crate) fn unrolled(source: &str) -> String {
-    let lines: Vec<&str> = source.lines().map(|line| line.split("//").next().unwrap_or(line).trim_end()).collect();
+    let lines: Vec<&str> =
+        source.lines().map(|line| line.split("//").next().unwrap_or(line).trim_end()).collect();
     let source = lines.join("\n");
     unrolled_part(&source, &source)
 }
@@ -24,8 +26,10 @@ fn unrolled_part(part: &str, shader: &str) -> String {
     let after = unrolled_part(after, shader);
     match Count::parse(header, shader).filter(|_| !leaves_early(&body)) {
         Some(Count { variable, values }) => {
-            let steps: String =
-                values.iter().map(|value| format!("{{ const {variable}: u32 = {value}u; {body}}}\n")).collect();
+            let steps: String = values
+                .iter()
+                .map(|value| format!("{{ const {variable}: u32 = {value}u; {body}}}\n"))
+                .collect();
             format!("{before}{steps}{after}")
         }
         None => format!("{before}for ({header}) {{{body}}}{after}"),
@@ -80,7 +84,8 @@ impl<'a> Count<'a> {
             Some(end) => (true, end),
             None => (false, condition.strip_prefix('>')?),
         };
-        let (operator, amount) = if step == "++" { ("+=", 1) } else { (step.get(..2)?, value(&step[2..], shader)?) };
+        let (operator, amount) =
+            if step == "++" { ("+=", 1) } else { (step.get(..2)?, value(&step[2..], shader)?) };
         let end = value(end, shader)?;
         let mut values = Vec::new();
         let mut at = value(first, shader)?;
@@ -165,7 +170,8 @@ mod tests {
         let source = "for (var i = 0u; i < 2u; i++) {\n    for (var k = 0u; k < i; k++) { f(k); } // a comment {\n    \
                       for (var k = 2u; k < 4u; k++) { g(i, k); }\n}\nh();";
         let text = unrolled(source);
-        let steps = ["const i: u32 = 0u;", "const i: u32 = 1u;", "h();"].map(|step| text.find(step).expect(step));
+        let steps =
+            ["const i: u32 = 0u;", "const i: u32 = 1u;", "h();"].map(|step| text.find(step).expect(step));
         assert!(steps.is_sorted());
         assert_eq!(text.matches("g(i, k);").count(), 4);
         assert_eq!(text.matches("for (var k = 0u; k < i; k++) { f(k); }").count(), 2, "{text}");

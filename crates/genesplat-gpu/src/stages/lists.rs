@@ -1,9 +1,10 @@
-//! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing how many.
+//! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing
+//! how many.
 //!
 //! The device counts splats and intersections, and later dispatches take their sizes from there. Buffers of
-//! intersections are sized by what earlier views needed; a view that needs more is submitted once more. The order is
-//! that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order, and a stable
-//! sort by tile keeps it.
+//! intersections are sized by what earlier views needed; a view that needs more is submitted once more. The
+//! order is that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that
+//! order, and a stable sort by tile keeps it.
 
 use std::cell::Cell;
 
@@ -64,7 +65,8 @@ pub(crate) struct Lists {
 }
 
 impl Lists {
-    /// Empty buffers; later for as many intersections as a kernel can see if each takes so many bytes somewhere.
+    /// Empty buffers; later for as many intersections as a kernel can see if each takes so many bytes
+    /// somewhere.
     pub(crate) fn new(engine: &Engine, intersection_bytes: u64) -> Result<Self> {
         let empty = |purpose| engine.allocate(purpose, 0);
         Ok(Self {
@@ -139,7 +141,8 @@ impl Lists {
         engine.binding_bytes / BUFFER_BYTES_STEP * BUFFER_BYTES_STEP / self.intersection_bytes
     }
 
-    /// What the device has counted since this was last asked, and the first values of a buffer, if one is named.
+    /// What the device has counted since this was last asked, and the first values of a buffer, if one is
+    /// named.
     pub(crate) fn take_counters<T: Pod>(
         &self,
         engine: &Engine,
@@ -182,8 +185,8 @@ impl Lists {
         recorder.clear(&self.ranges, 8 * view.tiles());
     }
 
-    /// Stages `project` and `bin` of a whole cloud, or of the mean. Colours that are shown make the steps that they have yet
-    /// to make.
+    /// Stages `project` and `bin` of a whole cloud, or of the mean. Colours that are shown make the steps
+    /// that they have yet to make.
     pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, held: Held, view: &ViewPass) {
         recorder.stage("project");
         let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
@@ -218,7 +221,10 @@ impl Lists {
         let parts = [&sorter.lengths, flags, offsets, &self.depths, keys, values];
         recorder.run(&shaders::COMPACT, &parts.map(Memory::all), Grid::Items(rows));
         let grid = GRID_DEPTH_SORT;
-        sorter.sort(recorder, &Sort { length: LENGTH_VISIBLE, grid, most: rows, bits: 32, first: 0, count_up: false });
+        sorter.sort(
+            recorder,
+            &Sort { length: LENGTH_VISIBLE, grid, most: rows, bits: 32, first: 0, count_up: false },
+        );
     }
 
     /// Steps 3 and 4: intersections in depth order, sorted by tile ([`Self::sorted_intersections`]).
@@ -235,7 +241,8 @@ impl Lists {
         let outputs = [&sorter.keys[1], &self.intersection_splats, &self.first_intersections];
         let parts = [&[&self.view, lengths, order, counts, offsets, splats][..], &outputs].concat();
         let parts: Vec<_> = parts.into_iter().map(Memory::all).collect();
-        let instructions = SPLAT_INSTRUCTIONS * u64::from(view.rows) + INTERSECTION_INSTRUCTIONS * self.capacity;
+        let instructions =
+            SPLAT_INSTRUCTIONS * u64::from(view.rows) + INTERSECTION_INSTRUCTIONS * self.capacity;
         recorder.run_long(&shaders::EMIT, &[], &parts, visible, instructions);
 
         let bits = tile_bits(view.tiles());

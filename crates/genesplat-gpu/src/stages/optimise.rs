@@ -30,7 +30,9 @@ impl Optimise<'_> {
         trained.windows().iter().for_each(|window| self.record_backward(recorder, window));
         recorder.stage("update");
         trained.windows().iter().for_each(|window| self.record_statistics(recorder, window));
-        if let Some(pending) = trained.pending().filter(|_| self.optimiser.is_some() || self.step.keeps_gradients) {
+        if let Some(pending) =
+            trained.pending().filter(|_| self.optimiser.is_some() || self.step.keeps_gradients)
+        {
             trained.windows().iter().for_each(|window| self.record_pending(recorder, window, pending));
         }
         if let Some(optimiser) = self.optimiser {
@@ -70,7 +72,8 @@ impl Optimise<'_> {
             [&self.lists.view, &self.lists.counters, &self.lists.tile_counts].map(Memory::all);
         let (uniform, gradients) = (window.uniform.all(), state.gradients.at(window));
         if self.step.statistics.density.is_some() {
-            let parts = [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
+            let parts =
+                [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
             recorder.run(&shaders::STATISTICS, &parts, grid);
         }
         if let (true, Some(genes)) = (self.step.statistics.genes, &state.statistics.genes) {
@@ -79,13 +82,15 @@ impl Optimise<'_> {
         }
     }
 
-    /// Adds this view's gradients to those that wait; before an optimiser step, those of geometry then come back.
+    /// Adds this view's gradients to those that wait; before an optimiser step, those of geometry then come
+    /// back.
     fn record_pending(&self, recorder: &mut Recorder, window: &RowWindow, pending: &Parameters) {
         let State { trained, gradients, .. } = self.state;
         let (uniform, counters) = (window.uniform.all(), self.lists.counters.all());
         let by_view = [self.lists.view.all(), uniform, counters, gradients.at(window)];
         let tile_counts = self.lists.tile_counts.all();
-        let parts = [&by_view[..], &[trained.geometry().at(window), pending.sh.at(window), tile_counts]].concat();
+        let parts =
+            [&by_view[..], &[trained.geometry().at(window), pending.sh.at(window), tile_counts]].concat();
         recorder.run(&shaders::KEEP_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         let parts = [uniform, counters, gradients.at(window), pending.geometry.at(window), tile_counts];
         let overrides = [("TAKE", u32::from(self.optimiser.is_some()))];
@@ -117,7 +122,8 @@ impl Optimise<'_> {
         let overrides = [("ALL_ROWS", u32::from(trained.pending().is_some()))];
         recorder.run_with(&shaders::ADAM_GEOMETRY, &overrides, &parts, Grid::Items(window.count));
         if optimiser.is_mcmc == 1 {
-            let parts = [window.uniform.all(), self.lists.optimiser(), self.lists.counters.all(), geometry[0]];
+            let parts =
+                [window.uniform.all(), self.lists.optimiser(), self.lists.counters.all(), geometry[0]];
             recorder.run(&shaders::NOISE, &parts, Grid::Items(window.count));
         }
     }

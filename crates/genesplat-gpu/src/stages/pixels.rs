@@ -1,5 +1,5 @@
-//! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss gradients
-//! of intersections.
+//! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss
+//! gradients of intersections.
 
 use genesplat_core::{Mask, Photo};
 
@@ -81,7 +81,13 @@ impl Pixels {
     }
 
     /// Stage `loss` against `photo`; leaves the gradient, too.
-    pub(crate) fn record_loss(&self, recorder: &mut Recorder, lists: &Lists, photo: &Memory, view: &ViewPass) {
+    pub(crate) fn record_loss(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        view: &ViewPass,
+    ) {
         recorder.stage("loss");
         self.record_loss_sums(recorder, lists, photo, view, true);
         let parts = [&lists.view, &self.loss_sums, &lists.counters].map(Memory::all);
@@ -124,8 +130,8 @@ impl Pixels {
     }
 }
 
-/// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`; [`HIDDEN`] where the
-/// pixel does not count.
+/// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`; [`HIDDEN`]
+/// where the pixel does not count.
 pub(crate) fn pack_photo(photo: &Photo, mask: Option<&Mask>) -> Vec<u32> {
     let mut words: Vec<u32> =
         photo.rgb.chunks_exact(3).map(|rgb| u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0])).collect();

@@ -1,8 +1,9 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the rows of
-//! one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures
-//! of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
+//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the
+//! rows of one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then
+//! makes the pictures of sixteen individuals in one tile: an alpha is evaluated once, and blended for those
+//! that hold it.
 
 use genesplat_core::SparseDelta;
 use genesplat_core::row_versions::{Holders, RowVersion, pieces_of, row_versions};
@@ -46,7 +47,8 @@ pub(crate) struct Pool {
     genes: Memory,
     /// A bit for each individual `[K, 4]`.
     pub(crate) holders: Memory,
-    /// For each window of rows: its rows and their versions, as a kernel reads them, and the number of those versions.
+    /// For each window of rows: its rows and their versions, as a kernel reads them, and the number of those
+    /// versions.
     windows: Vec<(Memory, u64)>,
 }
 

@@ -60,7 +60,14 @@ impl Sorter {
     }
 
     /// Exclusive prefix sum; the total is left after the last block in `sums`.
-    pub(super) fn scan(&self, recorder: &mut Recorder, length: u32, grid: Grid, input: &Memory, output: &Memory) {
+    pub(super) fn scan(
+        &self,
+        recorder: &mut Recorder,
+        length: u32,
+        grid: Grid,
+        input: &Memory,
+        output: &Memory,
+    ) {
         let overrides = [("LENGTH", length)];
         let [lengths, sums, input, output] = [&self.lengths, &self.sums, input, output].map(Memory::all);
         recorder.run_with(&shaders::SCAN_SUMS, &overrides, &[lengths, input, sums], grid);
@@ -107,8 +114,9 @@ impl Sorter {
         }
     }
 
-    /// Pieces that no device takes long for: the constant that says where each begins, its grid, and the most keys that it
-    /// may have. The first is as long as the device says; of others, blocks that are not there do nothing.
+    /// Pieces that no device takes long for: the constant that says where each begins, its grid, and the most
+    /// keys that it may have. The first is as long as the device says; of others, blocks that are not there
+    /// do nothing.
     fn pieces(&self, sort: &Sort) -> impl Iterator<Item = ((&'static str, u32), Grid<'_>, u64)> {
         let (most, piece) = (sort.most, u64::from(SORT_PIECE));
         let first = Grid::Device(&self.grids, sort.grid);
@@ -138,12 +146,12 @@ pub(super) struct Sort {
 /// Keys that are sorted to try it: more than one block.
 const SORTED: u32 = 5_000;
 
-/// Numbers that are summed to try it: in more blocks than the widest subgroup, of 128, has invocations, since sums of blocks
-/// are summed by subgroups, too.
+/// Numbers that are summed to try it: in more blocks than the widest subgroup, of 128, has invocations, since
+/// sums of blocks are summed by subgroups, too.
 const SUMMED: u32 = 130 * SCAN_BLOCK;
 
-/// Whether a device sorts right. Kernels may rely on subgroups, and drivers choose their width kernel by kernel: so it is
-/// those of the sort themselves that are tried, and those of a prefix sum.
+/// Whether a device sorts right. Kernels may rely on subgroups, and drivers choose their width kernel by
+/// kernel: so it is those of the sort themselves that are tried, and those of a prefix sum.
 pub(crate) fn sorts_right(engine: &Engine) -> Result<bool> {
     Ok(attempt(engine, || Ok(sorts_keys_right(engine)? && sums_right(engine)?))? == Some(true))
 }
@@ -174,7 +182,13 @@ fn sorter_of(engine: &Engine, count: u64) -> Result<Sorter> {
 }
 
 /// Keys and values after a sort by the lowest `bits`.
-fn sorted(engine: &Engine, keys: &[u32], values: &[u32], bits: u32, count_up: bool) -> Result<(Vec<u32>, Vec<u32>)> {
+fn sorted(
+    engine: &Engine,
+    keys: &[u32],
+    values: &[u32],
+    bits: u32,
+    count_up: bool,
+) -> Result<(Vec<u32>, Vec<u32>)> {
     let most = keys.len() as u64;
     let sorter = sorter_of(engine, most)?;
     engine.write(&sorter.keys[0], 0, keys);
@@ -247,21 +261,26 @@ mod tests {
                 let values: Vec<u32> = places.iter().map(|place| value * place).collect();
                 let before: Vec<u32> = (0..count as u32).map(|place| 7 * place).collect();
                 for engine in &engines {
-                    let (sorted_keys, sorted_values) = sorted(engine, &keys, &before, bits, count_up).unwrap();
+                    let (sorted_keys, sorted_values) =
+                        sorted(engine, &keys, &before, bits, count_up).unwrap();
                     assert!(sorted_keys == expected && sorted_values == values, "{count}, {bits} bits");
                 }
             }
         }
     }
 
-    /// Ballots that miss a lane, as translators have made them, and subgroups whose width is taken for another.
+    /// Ballots that miss a lane, as translators have made them, and subgroups whose width is taken for
+    /// another.
     #[test]
     fn a_wrong_sort_is_found_out() {
         let Some(mut engine) = engine() else { return };
         assert!(sorts_right(&engine).unwrap());
-        for (right, wrong) in [("subgroupBallot(is_set)", "(subgroupBallot(is_set) & vec4(~2u))"), ("/ width", "/ 2u")]
+        for (right, wrong) in
+            [("subgroupBallot(is_set)", "(subgroupBallot(is_set) & vec4(~2u))"), ("/ width", "/ 2u")]
         {
-            assert!(engine.abilities.subgroups && SORT_WITH_SUBGROUPS.iter().any(|text| text.contains(right)));
+            assert!(
+                engine.abilities.subgroups && SORT_WITH_SUBGROUPS.iter().any(|text| text.contains(right))
+            );
             engine.set_rewrite(Box::new(move |_, text| unrolled(&text.replace(right, wrong))));
             assert!(!sorts_right(&engine).unwrap(), "{wrong}");
         }

@@ -1,8 +1,8 @@
-//! Kernels that have a workgroup a tile. A long dispatch is cut into bands of tile rows: a driver may take for a hang what
-//! keeps a weak device for two seconds.
+//! Kernels that have a workgroup a tile. A long dispatch is cut into bands of tile rows: a driver may take
+//! for a hang what keeps a weak device for two seconds.
 //!
-//! How long it takes is predicted from the pixels, and from the intersections that the lists have room for, spread evenly
-//! over the rows of tiles. What a tile gets does not depend on the band that it is in.
+//! How long it takes is predicted from the pixels, and from the intersections that the lists have room for,
+//! spread evenly over the rows of tiles. What a tile gets does not depend on the band that it is in.
 
 use crate::Result;
 use crate::device::recorder::{INVOCATION, Recorder};
@@ -11,8 +11,8 @@ use crate::device::{Engine, Grid, Memory, Part};
 use crate::layout::{SLOTS, TILE, ViewPass};
 use crate::stages::lists::Lists;
 
-/// Where the number of a tile row lies behind that of the row before it, bytes: a multiple of what every device can bind
-/// at.
+/// Where the number of a tile row lies behind that of the row before it, bytes: a multiple of what every
+/// device can bind at.
 const ROW_STEP: usize = 256;
 
 /// A kernel over the tiles of a view, in so many layers.
@@ -32,7 +32,8 @@ impl TileKernel {
 }
 
 /// What `lab/performance.md` counts in warps, rounded up: a splat reaches half of a tile's blocks.
-pub(crate) const RASTERISE: TileKernel = TileKernel { for_intersection: 5_000, ..TileKernel::new(&shaders::RASTERISE) };
+pub(crate) const RASTERISE: TileKernel =
+    TileKernel { for_intersection: 5_000, ..TileKernel::new(&shaders::RASTERISE) };
 pub(crate) const RASTERISE_BACKWARD: TileKernel =
     TileKernel { for_intersection: 10_000, ..TileKernel::new(&shaders::RASTERISE_BACKWARD) };
 
@@ -65,8 +66,15 @@ fn rows_of_band(tiles_y: u32, instructions: u64, most: u64) -> u32 {
 }
 
 impl Lists {
-    /// Runs a kernel on all tiles; `parts` are its bindings, to which the number of the first tile row is added.
-    pub(crate) fn run_tiles(&self, recorder: &mut Recorder, view: &ViewPass, kernel: TileKernel, parts: &[&Memory]) {
+    /// Runs a kernel on all tiles; `parts` are its bindings, to which the number of the first tile row is
+    /// added.
+    pub(crate) fn run_tiles(
+        &self,
+        recorder: &mut Recorder,
+        view: &ViewPass,
+        kernel: TileKernel,
+        parts: &[&Memory],
+    ) {
         let TileKernel { shader, overrides, layers, for_intersection } = kernel;
         let pixels = view.tiles() * u64::from(TILE * TILE * layers);
         let instructions = INVOCATION * pixels + for_intersection * self.capacity;
@@ -91,6 +99,9 @@ mod tests {
         assert_eq!(rows_of_band(68, 100, 100), 68);
         assert_eq!(rows_of_band(68, 101, 100), 34);
         assert_eq!(rows_of_band(68, 950, 100), 7);
-        assert_eq!([rows_of_band(68, u64::MAX, 1), rows_of_band(1, 101, 100), rows_of_band(5, 0, 100)], [1, 1, 5]);
+        assert_eq!(
+            [rows_of_band(68, u64::MAX, 1), rows_of_band(1, 101, 100), rows_of_band(5, 0, 100)],
+            [1, 1, 5]
+        );
     }
 }

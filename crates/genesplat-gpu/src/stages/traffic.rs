@@ -1,7 +1,8 @@
 //! What a stage of a training step has to move through the memory of the device at least.
 //!
-//! Every value that a stage reads from another, or leaves for one, is counted once; what stays in registers and
-//! workgroup memory is not. On a large cloud, a stage that takes as long as this is as fast as the device's memory.
+//! Every value that a stage reads from another, or leaves for one, is counted once; what stays in registers
+//! and workgroup memory is not. On a large cloud, a stage that takes as long as this is as fast as the
+//! device's memory.
 
 use crate::layout::{
     DENSITY_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE,
@@ -38,36 +39,40 @@ impl Work {
         let pixels = width * height;
         let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
-            // Tile counts and flags of all rows; depths of splats, and their first and third vectors once more; which steps
-            // their colours have made.
+            // Tile counts and flags of all rows; depths of splats, and their first and third vectors once
+            // more; which steps their colours have made.
             "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4 + 32 + 8),
-            // Flags are read; of splats the depth, the tile count and they themselves, and their first intersections
-            // are written; they are sorted by depth. Intersections' tiles and splats are written and sorted by tile.
+            // Flags are read; of splats the depth, the tile count and they themselves, and their first
+            // intersections are written; they are sorted by depth. Intersections' tiles and splats are
+            // written and sorted by tile.
             "bin" => {
                 let sorted = visible * passes(32) + intersections * passes(tile_bits(tiles));
                 rows * 4 + visible * (12 + splat) + intersections * 8 + sorted * PASS_BYTES
             }
             // Three channels of f32 are written.
             "rasterise" => intersections * 8 + visible * splat + pixels * 12,
-            // Both steps read render and photo; nine partial derivatives pass between them; the gradient is written.
+            // Both steps read render and photo; nine partial derivatives pass between them; the gradient is
+            // written.
             "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
             // Render and gradient are read.
-            "rasterise_backward" => intersections * (8 + intersection_gradient) + visible * splat + pixels * 24,
+            "rasterise_backward" => {
+                intersections * (8 + intersection_gradient) + visible * splat + pixels * 24
+            }
             // Tile counts of all rows; of splats the first intersection and the vector with the flags.
             "project_backward" => {
                 intersections * intersection_gradient
                     + visible * (geometry + differentiated + gradient + 4 + 16)
                     + rows * 4
             }
-            // Parameters and two moments are read and written: geometry of all rows, colours and density statistics of
-            // what is visible, which alone has gradients.
+            // Parameters and two moments are read and written: geometry of all rows, colours and density
+            // statistics of what is visible, which alone has gradients.
             "update" => rows * (6 * geometry + 4) + visible * (gradient + 6 * moved + 8 + 2 * statistics),
             _ => 0,
         }
     }
 
-    /// Bytes of a row's colours: to evaluate them, to differentiate them, and of those that the optimiser moves. Above
-    /// degree 0 they come in groups of four coefficients of three channels.
+    /// Bytes of a row's colours: to evaluate them, to differentiate them, and of those that the optimiser
+    /// moves. Above degree 0 they come in groups of four coefficients of three channels.
     fn colour_bytes(&self) -> [u64; 3] {
         match self.sh_degree {
             0 => [12, 0, 16],
@@ -87,7 +92,8 @@ mod tests {
     #[test]
     fn a_step_moves_what_its_columns_hold() {
         let work = Work { rows: 1000, visible: 0, intersections: 0, size_px: [160, 90], sh_degree: 3 };
-        // Six columns of 48 bytes and tile counts; of what is seen, gradients, six of 192 and its statistics, too.
+        // Six columns of 48 bytes and tile counts; of what is seen, gradients, six of 192 and its statistics,
+        // too.
         assert_eq!(work.bytes("update"), 1000 * (288 + 4));
         let seen = |sh_degree| Work { visible: 10, sh_degree, ..work }.bytes("update") - work.bytes("update");
         assert_eq!([0, 1, 3].map(seen), [16, 48, 192].map(|moved| 10 * (64 + 6 * moved + 24)));

@@ -1,7 +1,7 @@
 //! The cloud on the device: parameters, moments and what goes with each row.
 //!
-//! A row's floats lie in two columns, geometry and colour. Where these are larger than a kernel can see at once,
-//! kernels run window by window.
+//! A row's floats lie in two columns, geometry and colour. Where these are larger than a kernel can see at
+//! once, kernels run window by window.
 
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{Gaussians, Genes};
@@ -10,7 +10,8 @@ use crate::Result;
 use crate::device::{Engine, Memory, Part};
 use crate::layout::{GEOMETRY_FLOATS, LATE_STEPS_MAX, SH_FLOATS, Window};
 
-/// Instructions of a row whose colours make up for all steps that they may have to: more than any other stage takes.
+/// Instructions of a row whose colours make up for all steps that they may have to: more than any other stage
+/// takes.
 pub(crate) const ROW_INSTRUCTIONS: u64 = SH_FLOATS as u64 / 4 * MAKE_UP_INSTRUCTIONS + 1_500;
 /// Of one vector that makes up for these steps.
 pub(crate) const MAKE_UP_INSTRUCTIONS: u64 = 52 * LATE_STEPS_MAX as u64;
@@ -32,8 +33,8 @@ impl RowWindow {
     }
 }
 
-/// Cuts `rows` so that the widest column fits a binding, and that no stage takes a weak device too long for what is between;
-/// there is always a window.
+/// Cuts `rows` so that the widest column fits a binding, and that no stage takes a weak device too long for
+/// what is between; there is always a window.
 pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>> {
     let rows_max = engine.window_rows.min(engine.instructions_max / ROW_INSTRUCTIONS);
     let step = (rows_max / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP);
@@ -47,7 +48,8 @@ pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>> {
         .collect()
 }
 
-/// Two ranges of rows, each its first row and their number, for a kernel; the second may be a stage's own two numbers.
+/// Two ranges of rows, each its first row and their number, for a kernel; the second may be a stage's own two
+/// numbers.
 pub(crate) fn window_uniform(
     engine: &Engine,
     [first, count]: [u32; 2],

@@ -17,7 +17,9 @@ pub(crate) struct DeviceMean {
 pub(super) fn upload(engine: &Engine, given: &StateMean) -> Result<Option<DeviceMean>> {
     match given.states() {
         0 => Ok(None),
-        states => Parameters::upload(engine, "a mean", given.mean()).map(|mean| Some(DeviceMean { states, mean })),
+        states => {
+            Parameters::upload(engine, "a mean", given.mean()).map(|mean| Some(DeviceMean { states, mean }))
+        }
     }
 }
 
@@ -36,7 +38,8 @@ impl State {
         let states = 1 + self.mean.as_ref().map_or(0, |held| held.states);
         let edit = edit_uniform(engine, [0; 2], 0, 1.0 / states as f32)?;
         if self.mean.is_none() {
-            self.mean = Some(DeviceMean { states: 0, mean: Parameters::zeros(engine, "a mean", trained.rows)? });
+            self.mean =
+                Some(DeviceMean { states: 0, mean: Parameters::zeros(engine, "a mean", trained.rows)? });
         }
         let Some(held) = &mut self.mean else { return Ok(()) };
         held.states = states;
@@ -64,10 +67,11 @@ impl State {
         recorder.submit();
     }
 
-    /// Geometry and colours of the cloud, or of the mean; before the first state, of the cloud. A mean's colours have no step
-    /// to make once it is prepared.
+    /// Geometry and colours of the cloud, or of the mean; before the first state, of the cloud. A mean's
+    /// colours have no step to make once it is prepared.
     pub(crate) fn held_at(&self, held: Held, window: &RowWindow) -> (Part<'_>, LateColours<'_>) {
-        let ([geometry, ..], colours) = (self.trained.geometry_at(window), self.trained.late_colours_at(window));
+        let ([geometry, ..], colours) =
+            (self.trained.geometry_at(window), self.trained.late_colours_at(window));
         match (held, &self.mean) {
             (Held::Mean, Some(DeviceMean { mean, .. })) => {
                 let [_, first, second] = colours.values;

@@ -1,4 +1,5 @@
-//! What a training run keeps on the device: the cloud, its moments, sums of statistics, the mean of recent states.
+//! What a training run keeps on the device: the cloud, its moments, sums of statistics, the mean of recent
+//! states.
 
 pub(crate) mod cloud;
 mod mean;

@@ -5,8 +5,8 @@ use genesplat_core::{Origin, RowEdit, SparseDelta};
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Part, Recorder, shaders};
 use crate::layout::{
-    Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_LONG_AXIS, ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT,
-    ORIGIN_SPLIT,
+    Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_LONG_AXIS, ORIGIN_RELOCATED,
+    ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT,
 };
 use crate::state::statistics::DeviceStatistics;
 use crate::state::{
@@ -30,8 +30,9 @@ fn plan_row(source: u32, origin: Origin) -> PlanRow {
 }
 
 impl State {
-    /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
-    /// All new columns are made before an old one goes, so that an edit that finds no memory changes nothing.
+    /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are
+    /// zeroed. All new columns are made before an old one goes, so that an edit that finds no memory changes
+    /// nothing.
     pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
         let mut edited = self.edited(engine, edit)?;
         std::mem::swap(&mut self.gradients, &mut edited.gradients);
@@ -56,7 +57,10 @@ impl State {
         let genes = self.statistics.genes.as_ref().map(|genes| job.gather(genes, false)).transpose()?;
         let edited = Settled {
             rows,
-            cloud: Parameters { geometry: job.geometry(&old.cloud.geometry)?, sh: job.gather(&old.cloud.sh, false)? },
+            cloud: Parameters {
+                geometry: job.geometry(&old.cloud.geometry)?,
+                sh: job.gather(&old.cloud.sh, false)?,
+            },
             first: job.moments(&old.first)?,
             second: job.moments(&old.second)?,
             pending: old.pending.as_ref().map(|pending| job.moments(pending)).transpose()?,
@@ -160,7 +164,10 @@ impl EditJob<'_> {
 
     /// Copies of a moment; rows of a new identity begin at zero.
     fn moments(&self, moments: &Parameters) -> Result<Parameters> {
-        Ok(Parameters { geometry: self.gather(&moments.geometry, true)?, sh: self.gather(&moments.sh, true)? })
+        Ok(Parameters {
+            geometry: self.gather(&moments.geometry, true)?,
+            sh: self.gather(&moments.sh, true)?,
+        })
     }
 
     /// Copies; with `fresh`, rows of a new identity begin at zero.
@@ -173,7 +180,11 @@ impl EditJob<'_> {
     }
 
     /// A new column, made by `record` from every pair of an old and a new window.
-    fn make(&self, column: &Column, record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part)) -> Result<Column> {
+    fn make(
+        &self,
+        column: &Column,
+        record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part),
+    ) -> Result<Column> {
         let made = Column::zeros(self.engine, "an edited column", self.rows, column.floats)?;
         let mut recorder = Recorder::new(self.engine, None);
         for new in &self.new {

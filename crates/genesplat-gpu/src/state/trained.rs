@@ -1,8 +1,10 @@
-//! What the optimiser moves. Only views and steps see colours that are behind; all others get them as they should be.
+//! What the optimiser moves. Only views and steps see colours that are behind; all others get them as they
+//! should be.
 //!
-//! Most rows of a cloud have no splat in a view, hence no gradient; but Adam would still move them by their momentum. Such a
-//! step of a row's colours depends on nothing but its moments and the step's rates. So the device keeps the rates, and a
-//! row makes up for its steps when it is seen next, in registers: with the same operations, hence the same bits.
+//! Most rows of a cloud have no splat in a view, hence no gradient; but Adam would still move them by their
+//! momentum. Such a step of a row's colours depends on nothing but its moments and the step's rates. So the
+//! device keeps the rates, and a row makes up for its steps when it is seen next, in registers: with the same
+//! operations, hence the same bits.
 
 use std::cell::Cell;
 

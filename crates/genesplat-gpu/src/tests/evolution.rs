@@ -63,15 +63,16 @@ fn losses_under_a_mask_match() {
     }
 }
 
-/// Six individuals and their twins: more than a workgroup has slots for, and once more than seven have; and row versions
-/// that several hold.
+/// Six individuals and their twins: more than a workgroup has slots for, and once more than seven have; and
+/// row versions that several hold.
 #[test]
 fn scores_match() {
     let Some(mut gpu) = gpu() else { return };
     let views = [view(), small_view(), masked_view(90)];
     for (filter, individuals) in filters().into_iter().zip([121, 20, 20]) {
         let base = filtered_cloud(500, filter);
-        let population: Vec<SparseDelta> = (0..individuals).map(|index| individual_of(&base, index % 6)).collect();
+        let population: Vec<SparseDelta> =
+            (0..individuals).map(|index| individual_of(&base, index % 6)).collect();
         let mut cpu = cpu();
         let twins: [&mut dyn Device; 2] = [&mut gpu, &mut cpu];
         let [actual, expected] = twins.map(|twin| {
@@ -87,7 +88,8 @@ fn scores_match() {
     }
 }
 
-/// More individuals than a workgroup has slots for on six views, losses on as many, and weights: the host waits once for each.
+/// More individuals than a workgroup has slots for on six views, losses on as many, and weights: the host
+/// waits once for each.
 #[test]
 fn a_generation_is_read_back_once() {
     let Some(mut gpu) = gpu() else { return };
@@ -106,11 +108,17 @@ fn a_generation_is_read_back_once() {
     };
     assert_eq!(waits(&|gpu| drop(gpu.score(&population, &views, &settings).unwrap())), 1);
     assert_eq!(waits(&|gpu| drop(gpu.measure(Held::Mean, &views, &settings).unwrap())), 1);
-    assert_eq!(waits(&|gpu| drop(gpu.blending_weights(&views, &|_| map_of(&small_view()), &settings).unwrap())), 1);
+    assert_eq!(
+        waits(&|gpu| drop(gpu.blending_weights(&views, &|_| map_of(&small_view()), &settings).unwrap())),
+        1
+    );
     // Of many views a slow device has no more than 32 to answer for at once.
     let views = [0; 65];
     assert_eq!(waits(&|gpu| drop(gpu.measure(Held::Mean, &views, &settings).unwrap())), 3);
-    assert_eq!(waits(&|gpu| drop(gpu.blending_weights(&views, &|_| map_of(&small_view()), &settings).unwrap())), 3);
+    assert_eq!(
+        waits(&|gpu| drop(gpu.blending_weights(&views, &|_| map_of(&small_view()), &settings).unwrap())),
+        3
+    );
 }
 
 /// Maps do not pile up: of six, two may wait to be copied.
@@ -140,12 +148,14 @@ fn losses_of_large_pictures_match() {
         twin.upload(cloud(200).into()).unwrap();
     }
     let expected = cpu.measure(Held::Cloud, &[0], &settings).unwrap()[0].loss;
-    compare("loss", "of a view", [gpu.measure(Held::Cloud, &[0, 0], &settings).unwrap()[1].loss], [expected]).unwrap();
+    compare("loss", "of a view", [gpu.measure(Held::Cloud, &[0, 0], &settings).unwrap()[1].loss], [expected])
+        .unwrap();
     let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
     compare("score", "of the base", score, [expected]).unwrap();
 }
 
-/// Hundreds of splats in one tile, so that a list is loaded several times, and pixels are finished on the way.
+/// Hundreds of splats in one tile, so that a list is loaded several times, and pixels are finished on the
+/// way.
 #[test]
 fn scores_of_crowded_tiles_match() {
     let Some(engine) = engine() else { return };
@@ -200,7 +210,8 @@ pub(super) fn map_of(view: &View) -> crate::Result<Vec<f32>> {
     Ok((0..view.counted_pixels()).map(|pixel| uniform(11, pixel)).collect())
 }
 
-/// The lists do not fit at first, and those of the second view not when the first has been weighed; rows are in four windows.
+/// The lists do not fit at first, and those of the second view not when the first has been weighed; rows are
+/// in four windows.
 #[test]
 fn weights_by_a_map_match() {
     let Some(engine) = engine() else { return };
@@ -227,9 +238,14 @@ fn weights_by_a_map_match() {
         }
     }
     gpu.upload(Gaussians::default().into()).unwrap();
-    let none = gpu.blending_weights(&[0, 1], &|_| map_of(&view()), &settings(0, ScreenFilter::Classic)).unwrap();
+    let none =
+        gpu.blending_weights(&[0, 1], &|_| map_of(&view()), &settings(0, ScreenFilter::Classic)).unwrap();
     assert_eq!(none, [Vec::<f32>::new(), Vec::new()]);
-    assert!(gpu.blending_weights(&[], &|_| Ok(Vec::new()), &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
+    assert!(
+        gpu.blending_weights(&[], &|_| Ok(Vec::new()), &settings(0, ScreenFilter::Classic))
+            .unwrap()
+            .is_empty()
+    );
 }
 
 /// Weights are those of the cloud after all steps, also of those that an overflow has stopped.

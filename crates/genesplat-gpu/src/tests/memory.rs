@@ -1,5 +1,5 @@
-//! What happens when there is too little memory: in a binding, in the lists of a view, on its way to the device, or on
-//! it.
+//! What happens when there is too little memory: in a binding, in the lists of a view, on its way to the
+//! device, or on it.
 
 use std::rc::Rc;
 
@@ -20,11 +20,13 @@ fn little_workgroup_memory_changes_no_bit() {
         gpu.set_views(&[view(), masked_view(90)]).unwrap();
         gpu.upload(crowd(CROWD_LOGITS[0]).into()).unwrap();
         for (number, signal) in (1..).zip(signals) {
-            let mut step = TrainStep { view: number as usize - 1, ..step(number, settings(3, ScreenFilter::Mip)) };
+            let mut step =
+                TrainStep { view: number as usize - 1, ..step(number, settings(3, ScreenFilter::Mip)) };
             step.statistics.density = Some(signal);
             gpu.train_step(&step).unwrap();
         }
-        let weights = gpu.blending_weights(&[0], &|_| map_of(&view()), &settings(3, ScreenFilter::Mip)).unwrap();
+        let weights =
+            gpu.blending_weights(&[0], &|_| map_of(&view()), &settings(3, ScreenFilter::Mip)).unwrap();
         (gpu.state().unwrap(), weights)
     });
     assert!(expected.0.statistics.gradient_sum.iter().any(|&sum| sum > 0.0), "gradients are summed");
@@ -68,7 +70,8 @@ fn an_overflow_grows_and_runs_again() {
     let mut cpu = cpu();
     cpu.upload(cloud(300).into()).unwrap();
     let settings = settings(2, ScreenFilter::Classic);
-    let (image, expected) = (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
+    let (image, expected) =
+        (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
     compare("rasterise", "after an overflow", image.planes, expected.planes).unwrap();
 }
 
@@ -82,8 +85,9 @@ fn an_overflow_leaves_gradients_alone() {
     gpu.state.reserve_step(&gpu.engine, &step).unwrap();
     let bytes = gpu.state.gradients.memory.bytes;
     gpu.engine.write(&gpu.state.gradients.memory, 0, &vec![7.0f32; bytes as usize / 4]);
-    let gradients =
-        |gpu: &GpuBackend| -> Vec<f32> { gpu.engine.read_values(&gpu.state.gradients.memory, bytes / 4).unwrap() };
+    let gradients = |gpu: &GpuBackend| -> Vec<f32> {
+        gpu.engine.read_values(&gpu.state.gradients.memory, bytes / 4).unwrap()
+    };
     gpu.train_step(&step).unwrap();
     assert!(gradients(&gpu).iter().all(|&value| value == 7.0));
     gpu.report().unwrap();
@@ -133,8 +137,13 @@ fn what_is_written_never_piles_up() {
     cpu.upload(cloud.into()).unwrap();
     for view in 0..3 {
         let expected = cpu.measure(Held::Cloud, &[view], &settings).unwrap()[0].loss;
-        compare("loss", "of a view", [gpu.measure(Held::Cloud, &[view], &settings).unwrap()[0].loss], [expected])
-            .unwrap();
+        compare(
+            "loss",
+            "of a view",
+            [gpu.measure(Held::Cloud, &[view], &settings).unwrap()[0].loss],
+            [expected],
+        )
+        .unwrap();
     }
 }
 
@@ -219,7 +228,8 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
     }
 }
 
-/// Memory for steps, or for scores, or for losses, but not for two of them: none keeps what another one needs.
+/// Memory for steps, or for scores, or for losses, but not for two of them: none keeps what another one
+/// needs.
 #[test]
 fn steps_scores_and_losses_take_turns() {
     let Some(mut gpu) = gpu() else { return };

@@ -1,12 +1,13 @@
 //! No result depends on the order in which the invocations of a workgroup run: else there is a race.
 //!
-//! A software driver runs a few invocations together up to the next barrier, then the next few. So what a barrier should
-//! separate is read too early, or overwritten too early, by those who come first. The roles of invocations are dealt out in
-//! other orders here, and results must be the same to the bit. Barriers are left out one by one: that must be noticed.
+//! A software driver runs a few invocations together up to the next barrier, then the next few. So what a
+//! barrier should separate is read too early, or overwritten too early, by those who come first. The roles of
+//! invocations are dealt out in other orders here, and results must be the same to the bit. Barriers are left
+//! out one by one: that must be noticed.
 //!
-//! Kernels without subgroups, since those with them need roles to be neighbours; and with their loops, which compile
-//! sooner. This driver waits for all invocations where a loop with a barrier ends, so what shows nothing is tried once more
-//! with its loops written out, as devices get it.
+//! Kernels without subgroups, since those with them need roles to be neighbours; and with their loops, which
+//! compile sooner. This driver waits for all invocations where a loop with a barrier ends, so what shows
+//! nothing is tried once more with its loops written out, as devices get it.
 
 use std::collections::HashMap;
 
@@ -25,8 +26,8 @@ const PLAIN: Abilities = Abilities { subgroups: false, workgroup_bytes: WORKGROU
 
 const BARRIER: &str = "workgroupBarrier();";
 
-/// Roles are dealt out by the number of an invocation with some bits flipped: as they are; the other way round; in another
-/// order within vectors and among them.
+/// Roles are dealt out by the number of an invocation with some bits flipped: as they are; the other way
+/// round; in another order within vectors and among them.
 const ORDERS: [u32; 3] = [0, 255, 0b0101_0110];
 
 /// Blocks of a sort or of a prefix sum: more than a workgroup has invocations.
@@ -42,7 +43,11 @@ fn reordered(text: &str, flipped: u32) -> String {
     let signature = signature
         .replace("local_invocation_index) lane", "local_invocation_index) invocation")
         .replace("@builtin(local_invocation_id) local: vec3<u32>,", "");
-    let place = if main.contains("local_invocation_id)") { "let local = vec2(lane % TILE, lane / TILE);" } else { "" };
+    let place = if main.contains("local_invocation_id)") {
+        "let local = vec2(lane % TILE, lane / TILE);"
+    } else {
+        ""
+    };
     format!("{before}{signature}{{ let lane = invocation ^ {flipped}u; {place}{body}")
 }
 
@@ -53,8 +58,9 @@ fn without_barrier(text: &str, at: usize) -> String {
 
 /// Barriers that no result here shows, by the kernel and the line before them.
 ///
-/// Those of walks over blocks and tile rows are for the twin with subgroups: there the next sum of a subgroup would overwrite what
-/// others have yet to read. Here a sum has a barrier of its own before it writes what others read.
+/// Those of walks over blocks and tile rows are for the twin with subgroups: there the next sum of a subgroup
+/// would overwrite what others have yet to read. Here a sum has a barrier of its own before it writes what
+/// others read.
 const UNNOTICED: [(&str, &str); 3] = [
     ("bin/scan_blocks", "before = saturating_add(before, group_sum());"),
     ("bin/digit_scan", "before += group_sum();"),
@@ -92,8 +98,11 @@ fn walked(gpu: &GpuBackend, shader: &'static Shader, block: u32, grid: u32) -> V
     let mut recorder = Recorder::new(engine, None);
     recorder.run_with(shader, &[("LENGTH", 0)], parts, Grid::Groups(grid.into()));
     recorder.submit();
-    [engine.read_values(&values, (grid * (BLOCKS + 1)).into()).unwrap(), engine.read_values(&totals, 3).unwrap()]
-        .concat()
+    [
+        engine.read_values(&values, (grid * (BLOCKS + 1)).into()).unwrap(),
+        engine.read_values(&totals, 3).unwrap(),
+    ]
+    .concat()
 }
 
 /// Lists of several batches, and splats of many tiles.
@@ -105,7 +114,8 @@ fn crowd_with_wide_splats() -> Gaussians {
     cloud
 }
 
-/// The bits of what a kernel, and those that run with it, find. A race may ask for lists that no memory holds.
+/// The bits of what a kernel, and those that run with it, find. A race may ask for lists that no memory
+/// holds.
 fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError> {
     let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect();
     let settings = settings(3, ScreenFilter::Classic);
@@ -119,7 +129,8 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError>
             vec![losses[0].loss.to_bits(), losses[0].squared_error.to_bits()]
         }
         _ if kernel.starts_with("score/") => {
-            let population: Vec<_> = (0..18).map(|index| individual_of(&crowd_with_wide_splats(), index % 6)).collect();
+            let population: Vec<_> =
+                (0..18).map(|index| individual_of(&crowd_with_wide_splats(), index % 6)).collect();
             bits(&gpu.score(&population, &[0], &settings)?)
         }
         _ => {
@@ -137,7 +148,8 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError>
     })
 }
 
-/// What a kernel finds when its roles are dealt out so, and its text is made anew; the others are as they are.
+/// What a kernel finds when its roles are dealt out so, and its text is made anew; the others are as they
+/// are.
 fn results_of(
     gpu: &mut GpuBackend,
     kernel: &'static str,
@@ -182,8 +194,9 @@ fn every_missing_barrier_is_noticed() {
     let mut unnoticed = Vec::new();
     for (around, places) in barriers() {
         let is_noticed = places.iter().any(|&(kernel, at)| {
-            let expected =
-                expected.entry(kernel).or_insert_with(|| results_of(&mut gpu, kernel, 0, str::to_owned).unwrap());
+            let expected = expected
+                .entry(kernel)
+                .or_insert_with(|| results_of(&mut gpu, kernel, 0, str::to_owned).unwrap());
             is_noticed(&mut gpu, kernel, at, expected)
         });
         if !is_noticed {

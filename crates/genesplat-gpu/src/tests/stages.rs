@@ -45,8 +45,8 @@ fn every_stage_matches() {
     }
 }
 
-/// Lists of several batches, whose ends lie behind finished pixels. The rows of the first cloud are all written, so
-/// that those which the others have to clear are not zero.
+/// Lists of several batches, whose ends lie behind finished pixels. The rows of the first cloud are all
+/// written, so that those which the others have to clear are not zero.
 #[test]
 fn every_stage_matches_where_pixels_are_finished() {
     let Some(mut gpu) = gpu() else { return };
@@ -63,7 +63,10 @@ fn stages_match(gpu: &mut GpuBackend, cloud: Gaussians, settings: &RenderSetting
     let report = gpu.report().unwrap();
     splats_match(gpu, &buffers)?;
     lists_match(gpu, &buffers, settings)?;
-    assert_eq!((report.visible, report.intersections), (buffers.splats.len(), buffers.bins.intersections.len()));
+    assert_eq!(
+        (report.visible, report.intersections),
+        (buffers.splats.len(), buffers.bins.intersections.len())
+    );
     let values = buffers.image.planes.len();
     compare("rasterise", "image", read(gpu, &gpu.pixels.image, values), buffers.image.planes.clone())?;
     compare("loss", "value", [report.loss], [loss])?;
@@ -91,12 +94,17 @@ fn splats_match(gpu: &GpuBackend, buffers: &ViewBuffers) -> Result<(), String> {
 /// The same splats in every tile in the same order, and the same sums of each of them.
 fn lists_match(gpu: &GpuBackend, buffers: &ViewBuffers, settings: &RenderSettings) -> Result<(), String> {
     let (lists, splats_of) = tile_lists(gpu, settings, gpu.gaussian_count());
-    let rows: Vec<[f32; GRADIENT]> = read(gpu, &gpu.pixels.intersection_gradients, gpu.lists.capacity as usize);
+    let rows: Vec<[f32; GRADIENT]> =
+        read(gpu, &gpu.pixels.intersection_gradients, gpu.lists.capacity as usize);
     let (mut actual, mut expected) = (Vec::new(), Vec::new());
     for (tile, numbers) in lists.iter().enumerate() {
         let ours: Vec<u32> = numbers.iter().map(|&number| splats_of[number as usize]).collect();
-        let theirs: Vec<u32> =
-            buffers.bins.tile(tile).iter().map(|intersection| buffers.splats.get(intersection.splat).row).collect();
+        let theirs: Vec<u32> = buffers
+            .bins
+            .tile(tile)
+            .iter()
+            .map(|intersection| buffers.splats.get(intersection.splat).row)
+            .collect();
         if ours != theirs {
             return Err(format!("bin: tile {tile} lists {ours:?}, not {theirs:?}"));
         }
@@ -127,8 +135,11 @@ fn check_gradients_and_statistics(view: View) {
     let (Some(mut gpu), mut cpu) = (gpu(), cpu()) else { return };
     gpu.set_views(std::slice::from_ref(&view)).unwrap();
     cpu.set_views(&[view]).unwrap();
-    let signals =
-        [DensitySignal::Signed, DensitySignal::Absolute, DensitySignal::PixelWeighted { depth_threshold: 2.0 }];
+    let signals = [
+        DensitySignal::Signed,
+        DensitySignal::Absolute,
+        DensitySignal::PixelWeighted { depth_threshold: 2.0 },
+    ];
     for filter in filters() {
         for signal in signals {
             let mut step = step(1, settings(3, filter));
@@ -148,11 +159,15 @@ fn check_gradients_and_statistics(view: View) {
             planted.positions[lost] = [0.0; 3];
             compare_clouds("project_backward", &planted, &expected.0.first)
                 .expect("a norm does not show a row that is lost");
-            assert!(compare_gradient_rows(&planted, &expected.0.first).is_err(), "a row that is lost is missed");
+            assert!(
+                compare_gradient_rows(&planted, &expected.0.first).is_err(),
+                "a row that is lost is missed"
+            );
             let (actual, expected) = (actual.1, expected.1);
             assert_eq!(actual.weight_sum, expected.weight_sum, "what is counted is equal");
             assert_eq!(actual.gene_views, expected.gene_views);
-            compare("statistics", "gradient", actual.gradient_sum, expected.gradient_sum).unwrap_or_else(context);
+            compare("statistics", "gradient", actual.gradient_sum, expected.gradient_sum)
+                .unwrap_or_else(context);
             let genes = |sums: Vec<[f32; 7]>| sums.as_flattened().to_vec();
             let (actual, expected) = (genes(actual.gene_gradient_sum), genes(expected.gene_gradient_sum));
             compare("statistics", "genes", actual, expected).unwrap_or_else(context);
@@ -207,8 +222,8 @@ fn far_needles_leave_everything_finite() {
     }
 }
 
-/// A cloud whose first rows, in the middle of the picture, have one parameter each that is not a number; and how many
-/// these are.
+/// A cloud whose first rows, in the middle of the picture, have one parameter each that is not a number; and
+/// how many these are.
 fn cloud_with_nans(filter: ScreenFilter) -> (Gaussians, u32) {
     let mut cloud = filtered_cloud(60, filter);
     let rows = if cloud.filter_3d.is_some() { 15 } else { 14 };

@@ -1,4 +1,5 @@
-//! Long work is split into dispatches and submissions that a weak device is through with soon: with the same bits.
+//! Long work is split into dispatches and submissions that a weak device is through with soon: with the same
+//! bits.
 
 use genesplat_core::{DeviceState, Held, Image};
 
@@ -64,11 +65,16 @@ fn no_bit_depends_on_how_work_is_split() {
 fn a_kernel_that_forgets_its_first_tile_row_is_noticed() {
     let Some(mut gpu) = split_by(1) else { return };
     let expected = found_by(&mut gpu, 3);
-    let kernels: Vec<_> = kernel_texts(gpu.engine.abilities).filter(|(_, text)| text.contains(FIRST_ROW)).collect();
+    let kernels: Vec<_> =
+        kernel_texts(gpu.engine.abilities).filter(|(_, text)| text.contains(FIRST_ROW)).collect();
     assert_eq!(kernels.len(), 5);
     for (kernel, _) in kernels {
         let forgets = move |name: &str, text: String| {
-            unrolled(&if name == kernel { text.replace(FIRST_ROW, "min(first_tile_row, 0u), 0u") } else { text })
+            unrolled(&if name == kernel {
+                text.replace(FIRST_ROW, "min(first_tile_row, 0u), 0u")
+            } else {
+                text
+            })
         };
         gpu.engine.set_rewrite(Box::new(forgets));
         assert!(found_by(&mut gpu, 3) != expected, "{kernel}");

@@ -1,7 +1,9 @@
 //! What training asks of the backend.
 
 use genesplat_core::backend::McmcStep;
-use genesplat_core::{BackendError, DeviceState, Moments, Origin, Rng, RowEdit, SparseDelta, StateMean, Upload};
+use genesplat_core::{
+    BackendError, DeviceState, Moments, Origin, Rng, RowEdit, SparseDelta, StateMean, Upload,
+};
 
 use super::*;
 use crate::layout::LATE_STEPS_MAX;
@@ -43,8 +45,8 @@ fn adam_matches() {
     twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
 }
 
-/// Steps of two views that see different rows, one after the other; the state then, and after how many steps some row still
-/// had steps to make.
+/// Steps of two views that see different rows, one after the other; the state then, and after how many steps
+/// some row still had steps to make.
 fn steps_of_two_views(gpu: &mut GpuBackend, makes_up_at_once: bool) -> (DeviceState, usize) {
     let mut other = view();
     other.camera.principal_px[0] += 50.0;
@@ -73,7 +75,8 @@ fn steps_of_two_views(gpu: &mut GpuBackend, makes_up_at_once: bool) -> (DeviceSt
 fn late_steps_of_colours_are_exact() {
     let Some(engine) = engine() else { return };
     let mut gpu = GpuBackend::on(engine.with_window_rows(64)).unwrap();
-    let ((expected, never), (state, late)) = (steps_of_two_views(&mut gpu, true), steps_of_two_views(&mut gpu, false));
+    let ((expected, never), (state, late)) =
+        (steps_of_two_views(&mut gpu, true), steps_of_two_views(&mut gpu, false));
     assert!(never == 0 && late > 10, "late after {late} of 14 steps");
     assert!(state.cloud == expected.cloud && state.moments == expected.moments);
 }
@@ -81,7 +84,13 @@ fn late_steps_of_colours_are_exact() {
 #[test]
 fn noise_matches() {
     let Some(mut gpu) = gpu() else { return };
-    let mcmc = McmcStep { noise_scale: 0.3, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(SEED), counter: 0 };
+    let mcmc = McmcStep {
+        noise_scale: 0.3,
+        opacity_weight: 0.01,
+        scale_weight: 0.02,
+        rng: Rng::new(SEED),
+        counter: 0,
+    };
     twins_agree("adam", &mut gpu, |twin| ten_steps(twin, Some(mcmc)));
 }
 
@@ -114,7 +123,10 @@ fn steps_of_several_views_match() {
     let mut other = cpu();
     steps_of_several_views(&mut other, true);
     let forgotten = other.state().unwrap().moments.pending;
-    assert!(compare_clouds("project_backward", &forgotten, &state.moments.pending).is_err(), "a view is missed");
+    assert!(
+        compare_clouds("project_backward", &forgotten, &state.moments.pending).is_err(),
+        "a view is missed"
+    );
 }
 
 /// Steps of one view, then of several; after each, `left` is what lies where gradients were.
@@ -141,11 +153,15 @@ fn where_rows_have_no_splat_nobody_reads_gradients() {
     let Some(mut gpu) = gpu() else { return };
     let [expected, found] = [0.0, 1e3].map(|left| steps_over(&mut gpu, left));
     let (seen, splats) = (&expected.statistics.weight_sum, &expected.statistics.gene_views);
-    assert!(seen.iter().zip(splats).any(|(&seen, &splats)| seen > 0.0 && splats == 0), "some are seen without a splat");
+    assert!(
+        seen.iter().zip(splats).any(|(&seen, &splats)| seen > 0.0 && splats == 0),
+        "some are seen without a splat"
+    );
     assert!(found == expected);
 }
 
-/// Where the lists of a view do not fit, the steps from there on are repeated: nothing is added twice, or not at all.
+/// Where the lists of a view do not fit, the steps from there on are repeated: nothing is added twice, or not
+/// at all.
 #[test]
 fn gradients_that_wait_survive_an_overflow() {
     let Some(mut gpu) = gpu() else { return };
@@ -201,7 +217,8 @@ fn push_children(edit: &mut RowEdit, rows: std::ops::Range<u32>, first: u8) {
     }
 }
 
-/// Long-axis children of half of the rows, among them opaque ones and such whose longest axis is not the only one.
+/// Long-axis children of half of the rows, among them opaque ones and such whose longest axis is not the only
+/// one.
 pub(super) fn split_long_axes(twin: &mut dyn Device, first: u8) {
     let mut start = filtered_cloud(300, ScreenFilter::Mip);
     start.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = 12.0);
@@ -300,7 +317,8 @@ fn what_is_uploaded_comes_back() {
 
 fn uploads_come_back(gpu: &mut GpuBackend) {
     let cloud = filtered_cloud(130, ScreenFilter::Mip);
-    let moments = Moments { first: super::cloud(130), second: super::cloud(130), pending: Gaussians::default() };
+    let moments =
+        Moments { first: super::cloud(130), second: super::cloud(130), pending: Gaussians::default() };
     let state = DeviceState { cloud: cloud.clone(), moments, ..DeviceState::default() };
     gpu.upload(state.clone().into()).unwrap();
     assert_eq!(*gpu.download().unwrap(), cloud);

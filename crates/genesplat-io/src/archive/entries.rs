@@ -1,8 +1,8 @@
 //! The list of entries at the end of a zip file: few enough, and each name once.
 //!
-//! What a list costs in memory is a dozen times its bytes, so how long it is is looked up before it is read. And of two
-//! entries with one name, programs take different ones: an archive that shows one program one photo, and another program
-//! another, is refused.
+//! What a list costs in memory is a dozen times its bytes, so how long it is is looked up before it is read.
+//! And of two entries with one name, programs take different ones: an archive that shows one program one
+//! photo, and another program another, is refused.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -46,7 +46,8 @@ fn tail(reader: &mut (impl Read + Seek)) -> std::io::Result<Vec<u8>> {
     Ok(tail)
 }
 
-/// The most entries that any record in `tail` claims; `None` where a record refers to a larger one that is not there.
+/// The most entries that any record in `tail` claims; `None` where a record refers to a larger one that is
+/// not there.
 fn most_entries(tail: &[u8]) -> Option<u64> {
     let large = records(tail, LARGE_END, LARGE_END_BYTES).map(|record| u64::from_le_bytes(of(&record[32..])));
     let most = large.max();

@@ -1,4 +1,5 @@
-//! The rules that a record must meet in either form; both readers call these, so that both refuse the same files.
+//! The rules that a record must meet in either form; both readers call these, so that both refuse the same
+//! files.
 //!
 //! What is not finite is left out and counted: programs write such numbers where they have found nothing.
 
@@ -111,7 +112,8 @@ pub(super) fn points(
             Some(_) if !position.iter().all(|v| v.is_finite()) => lost += 1,
             Some(problem) => {
                 let place = index + 1;
-                let problem = format!("point {place} has a position that {problem}; remove it or reconstruct again");
+                let problem =
+                    format!("point {place} has a position that {problem}; remove it or reconstruct again");
                 return Err(SceneError::bad_record(file, problem));
             }
         }

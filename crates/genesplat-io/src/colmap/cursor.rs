@@ -1,7 +1,8 @@
 //! Reads little-endian records from bytes.
 //!
-//! A damaged file may claim 2⁶⁰ records. [`Cursor::count`] compares each claim with the bytes that are left, before
-//! anything is reserved. So memory is bounded by the size of the file, and every read past the end is a typed error.
+//! A damaged file may claim 2⁶⁰ records. [`Cursor::count`] compares each claim with the bytes that are left,
+//! before anything is reserved. So memory is bounded by the size of the file, and every read past the end is
+//! a typed error.
 
 use std::path::Path;
 
@@ -54,7 +55,12 @@ impl<'a> Cursor<'a> {
     }
 
     /// Passes over `count` records of `bytes_each`; `count` came from [`Cursor::count`].
-    pub(super) fn skip(&mut self, record: &'static str, count: usize, bytes_each: usize) -> Result<(), SceneError> {
+    pub(super) fn skip(
+        &mut self,
+        record: &'static str,
+        count: usize,
+        bytes_each: usize,
+    ) -> Result<(), SceneError> {
         let bytes = count.checked_mul(bytes_each).and_then(|bytes| self.bytes.get(bytes..));
         self.bytes = bytes.ok_or_else(|| self.truncated(record))?;
         Ok(())
@@ -114,6 +120,8 @@ mod tests {
         assert!(Cursor::new(file, b"no end").text("a name").is_err());
         assert!(Cursor::new(file, &[0; 8]).skip("a track", usize::MAX, 8).is_err());
         assert_eq!(Cursor::new(file, b"a.png\0").text("a name").unwrap(), "a.png");
-        assert!(Cursor::new(file, b"").end("cameras").is_ok() && Cursor::new(file, b"a").end("cameras").is_err());
+        assert!(
+            Cursor::new(file, b"").end("cameras").is_ok() && Cursor::new(file, b"a").end("cameras").is_err()
+        );
     }
 }

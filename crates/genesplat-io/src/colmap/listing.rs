@@ -9,15 +9,20 @@ use glam::{DQuat, DVec3};
 use super::{ImageRecord, Model, ModelFolder, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out_notice, no_photos, separate,
-    similar_notice,
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out_notice, no_photos,
+    separate, similar_notice,
 };
 use crate::photos::Lens;
 use crate::shown;
 use crate::similar::{self, Similar, entries};
 
-/// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
-pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
+/// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in
+/// `image_folder`.
+pub(crate) fn list(
+    folder: &ModelFolder,
+    image_folder: &Path,
+    with_points: bool,
+) -> Result<Listing, SceneError> {
     let mut model = if with_points { read_model(folder)? } else { read_photos(folder)? };
     model.images.iter_mut().for_each(|image| separate(&mut image.name, image_folder));
     let list = folder.form.file(&folder.path, "images");
@@ -44,8 +49,9 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {
     let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| {
         let (name, camera) = (shown(&image.name), image.camera);
-        let problem =
-            format!("photo {name} refers to camera {camera}, which the model does not have; export the model again");
+        let problem = format!(
+            "photo {name} refers to camera {camera}, which the model does not have; export the model again"
+        );
         SceneError::bad_record(list, problem)
     })?;
     let [w, x, y, z] = image.rotation;
@@ -59,8 +65,8 @@ fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Op
     Ok((camera, intrinsics.lens))
 }
 
-/// The photos that exist: by the record's whole name, or else by its last part, as the reference trainer looks; or by
-/// almost these.
+/// The photos that exist: by the record's whole name, or else by its last part, as the reference trainer
+/// looks; or by almost these.
 fn find_photos<'a>(
     images: &'a [ImageRecord],
     folder: &Path,

@@ -1,8 +1,8 @@
-//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos; points may be in
-//! `points3D.ply`, too.
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos; points
+//! may be in `points3D.ply`, too.
 //!
-//! A rasteriser of splats projects along straight lines, so photos of every other camera than a pinhole are undistorted
-//! when they are loaded, as COLMAP's `image_undistorter` does it.
+//! A rasteriser of splats projects along straight lines, so photos of every other camera than a pinhole are
+//! undistorted when they are loaded, as COLMAP's `image_undistorter` does it.
 //!
 //! Frames: `camera_from_world` is stored as COLMAP stores it, x right, y down, z forward.
 //! Source of the layouts: COLMAP's "Output Format" documentation.
@@ -95,8 +95,8 @@ pub struct ModelFolder {
     pub form: Form,
 }
 
-/// The model of a scene folder: in `sparse/0`, `sparse`, or the folder itself. Of several in `sparse`, the one with the most
-/// photos.
+/// The model of a scene folder: in `sparse/0`, `sparse`, or the folder itself. Of several in `sparse`, the
+/// one with the most photos.
 pub fn find_model(scene: &Path) -> Option<ModelFolder> {
     find_model_in(scene, ["sparse", ""])
 }
@@ -119,7 +119,8 @@ fn find_model_in(scene: &Path, [sparse, whole]: [&str; 2]) -> Option<ModelFolder
 /// The models that COLMAP calls 0, 1, ..., in this order.
 fn part_models(sparse: &Path) -> Vec<ModelFolder> {
     let number = |path: &PathBuf| path.file_name().and_then(|name| name.to_str()?.parse::<u32>().ok());
-    let mut folders: Vec<(u32, PathBuf)> = entries(sparse).filter_map(|path| Some((number(&path)?, path))).collect();
+    let mut folders: Vec<(u32, PathBuf)> =
+        entries(sparse).filter_map(|path| Some((number(&path)?, path))).collect();
     folders.sort();
     folders.iter().filter_map(|(_, folder)| model_in(folder)).collect()
 }
@@ -146,7 +147,8 @@ fn image_count(model: &ModelFolder) -> u64 {
     }
 }
 
-/// Reads the three files of a model. Every record is checked, and no count is believed beyond the bytes that back it.
+/// Reads the three files of a model. Every record is checked, and no count is believed beyond the bytes that
+/// back it.
 pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
     let mut model = read_photos(folder)?;
     let Finite { records, notice } = read_points(folder)?;
@@ -178,7 +180,8 @@ fn read_points(folder: &ModelFolder) -> Result<Finite<Point>, SceneError> {
     }
 }
 
-/// Where the points are: in the cameras' form, in the other, or in the PLY that the reference trainer makes of either.
+/// Where the points are: in the cameras' form, in the other, or in the PLY that the reference trainer makes
+/// of either.
 fn points_file(folder: &ModelFolder) -> PathBuf {
     let own = folder.form.file(&folder.path, "points3D");
     let other = ["bin", "txt", "ply"].map(|ending| folder.path.join("points3D").with_extension(ending));
@@ -186,7 +189,11 @@ fn points_file(folder: &ModelFolder) -> PathBuf {
 }
 
 /// The cameras in the `bytes` of `file`, by their ids.
-pub(crate) fn parse_cameras(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Judged>, SceneError> {
+pub(crate) fn parse_cameras(
+    form: Form,
+    file: &Path,
+    bytes: &[u8],
+) -> Result<BTreeMap<u32, Judged>, SceneError> {
     match form {
         Form::Binary => binary::cameras(file, bytes),
         Form::Text => text::cameras(file, bytes),

@@ -48,7 +48,8 @@ pub(super) fn parameters(
     if let Some(problem) = coefficients_problem(coefficients) {
         return Err(bad_camera(file, camera, problem));
     }
-    let lens = Lens { projection: projection(model, coefficients), polynomial: polynomial(model, coefficients) };
+    let lens =
+        Lens { projection: projection(model, coefficients), polynomial: polynomial(model, coefficients) };
     Ok((pinhole, (!lens.is_pinhole()).then_some(lens)))
 }
 
@@ -77,7 +78,9 @@ fn polynomial(model: &str, coefficients: &[f64]) -> Polynomial {
     let radial = |k: &[f64]| [0, 1, 2, 3, 4, 5].map(|index| k.get(index).copied().unwrap_or(0.0));
     match (model, coefficients) {
         ("FOV" | "SIMPLE_DIVISION" | "DIVISION" | "EUCM", _) => none,
-        ("OPENCV", &[k1, k2, p1, p2]) => Polynomial { radial: radial(&[k1, k2]), tangential: [p1, p2], ..none },
+        ("OPENCV", &[k1, k2, p1, p2]) => {
+            Polynomial { radial: radial(&[k1, k2]), tangential: [p1, p2], ..none }
+        }
         ("FULL_OPENCV", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
             Polynomial { radial: radial(&[k1, k2, k3]), divisor: [k4, k5, k6], tangential: [p1, p2], ..none }
         }
@@ -99,11 +102,12 @@ fn polynomial(model: &str, coefficients: &[f64]) -> Polynomial {
     }
 }
 
-/// The model that says what `lens` says, and its coefficients after focal lengths and principal point; `None` where COLMAP has
-/// none. It has two focal lengths.
+/// The model that says what `lens` says, and its coefficients after focal lengths and principal point; `None`
+/// where COLMAP has none. It has two focal lengths.
 pub(super) fn of_lens(lens: Option<&Lens>) -> Option<(&'static str, Vec<f64>)> {
     let Some(lens) = lens else { return Some(("PINHOLE", Vec::new())) };
-    let Polynomial { radial: k, divisor: d, tangential: [p1, p2], prism: [[s0, s1], [s2, s3]], .. } = lens.polynomial;
+    let Polynomial { radial: k, divisor: d, tangential: [p1, p2], prism: [[s0, s1], [s2, s3]], .. } =
+        lens.polynomial;
     let (name, coefficients) = match lens.projection {
         Projection::FieldOfView { omega } => ("FOV", vec![omega]),
         Projection::Division { k } => ("DIVISION", vec![k]),
@@ -115,7 +119,8 @@ pub(super) fn of_lens(lens: Option<&Lens>) -> Option<(&'static str, Vec<f64>)> {
         Projection::Fisheye if [p1, p2, s0, s2] == [0.0; 4] => ("OPENCV_FISHEYE", k[..4].to_vec()),
         Projection::Fisheye => ("THIN_PRISM_FISHEYE", vec![k[0], k[1], p1, p2, k[2], k[3], s0, s2]),
     };
-    let read = Lens { projection: projection(name, &coefficients), polynomial: polynomial(name, &coefficients) };
+    let read =
+        Lens { projection: projection(name, &coefficients), polynomial: polynomial(name, &coefficients) };
     (read == *lens).then_some((name, coefficients))
 }
 
@@ -139,7 +144,12 @@ mod tests {
             let ([fx, fy, ..], lens) = read(model, &values).unwrap();
             assert_eq!(fx == fy, model.starts_with("SIMPLE") || model.starts_with("RADIAL"), "{model}");
             assert_eq!(lens.is_none(), model.ends_with("PINHOLE"), "{model}");
-            assert!(read(model, &values[1..]).unwrap_err().to_string().contains(&format!("and {model} has {count}")));
+            assert!(
+                read(model, &values[1..])
+                    .unwrap_err()
+                    .to_string()
+                    .contains(&format!("and {model} has {count}"))
+            );
         }
     }
 
@@ -194,7 +204,10 @@ mod tests {
 
     #[test]
     fn coefficients_of_zero_are_a_pinhole_and_others_must_be_finite() {
-        assert_eq!(read("OPENCV", &[5.0, 6.0, 3.0, 2.0, 0.0, 0.0, 0.0, 0.0]).unwrap(), ([5.0, 6.0, 3.0, 2.0], None));
+        assert_eq!(
+            read("OPENCV", &[5.0, 6.0, 3.0, 2.0, 0.0, 0.0, 0.0, 0.0]).unwrap(),
+            ([5.0, 6.0, 3.0, 2.0], None)
+        );
         let refused = read("SIMPLE_RADIAL", &[5.0, 3.0, 2.0, f64::NAN]).unwrap_err().to_string();
         assert!(refused.contains("camera 3 has distortion coefficients"), "{refused}");
     }

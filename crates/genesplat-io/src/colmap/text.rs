@@ -67,7 +67,8 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Lines that are not comments; blank ones are kept, because a photo without features has a blank second line.
+/// Lines that are not comments; blank ones are kept, because a photo without features has a blank second
+/// line.
 fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Line<'a>>, SceneError> {
     let bytes = without_mark(bytes);
     let text = std::str::from_utf8(bytes).map_err(|error| {
@@ -103,7 +104,8 @@ fn camera(line: Line) -> Result<(u32, Judged), SceneError> {
     Ok((id, parameters.and_then(|parameters| check::intrinsics(line.file, id, size, parameters))))
 }
 
-/// `images.txt`: a pose on one line, features on the next; of the latter it is only checked that they are features.
+/// `images.txt`: a pose on one line, features on the next; of the latter it is only checked that they are
+/// features.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
     let mut lines = lines(file, bytes)?;
     let next = || {
@@ -132,7 +134,8 @@ fn image(line: Line) -> Result<ImageRecord, SceneError> {
     Ok(ImageRecord { name, camera, rotation, translation })
 }
 
-/// What follows the first `count` words, which may itself hold spaces (a photo's name); `None` if nothing does.
+/// What follows the first `count` words, which may itself hold spaces (a photo's name); `None` if nothing
+/// does.
 fn rest_after(text: &str, count: usize) -> Option<&str> {
     let mut rest = text.trim();
     for _ in 0..count {

@@ -8,8 +8,8 @@ use std::path::Path;
 use super::{Form, ImageRecord, Model, models};
 use crate::own;
 
-/// Writes the three files of `model` into `folder`, which is made if it is missing. Ids of photos and points are their
-/// 1-based places. Every bit is kept. A lens that none of COLMAP's models can say is an error.
+/// Writes the three files of `model` into `folder`, which is made if it is missing. Ids of photos and points
+/// are their 1-based places. Every bit is kept. A lens that none of COLMAP's models can say is an error.
 pub fn write_model(folder: &Path, model: &Model) -> io::Result<()> {
     let file = |stem| Form::Binary.file(Path::new(""), stem);
     own::write(folder, file("cameras"), |out| cameras(out, model))?;

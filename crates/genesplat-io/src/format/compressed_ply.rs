@@ -1,10 +1,11 @@
 //! Compressed PLY, as PlayCanvas defined it and SuperSplat writes it.
 //!
-//! Three tables, little-endian. `chunk`: for each 256 rows the least and the largest position, log-scale and base colour
-//! on each axis (18 floats). `vertex`: position and log-scale as fractions of the chunk's range in 11, 10 and 11 bits;
-//! the rotation as 2 bits for the largest component and 10 for each of the others; base colour as fractions of the
-//! range, and opacity, in 8 bits each. `sh`: a byte for each further coefficient, channel after channel, from -4 to 4.
-//! A comment of the header says how a viewer should filter, in the words of [`crate::ply`].
+//! Three tables, little-endian. `chunk`: for each 256 rows the least and the largest position, log-scale and
+//! base colour on each axis (18 floats). `vertex`: position and log-scale as fractions of the chunk's range
+//! in 11, 10 and 11 bits; the rotation as 2 bits for the largest component and 10 for each of the others;
+//! base colour as fractions of the range, and opacity, in 8 bits each. `sh`: a byte for each further
+//! coefficient, channel after channel, from -4 to 4. A comment of the header says how a viewer should filter,
+//! in the words of [`crate::ply`].
 //!
 //! Rows are sorted along a Morton curve, so that chunks are small.
 
@@ -35,7 +36,8 @@ const BITS: [u32; 3] = [11, 10, 11];
 /// Half the range of the spherical harmonics in a file.
 const SH_MAX: f32 = 4.0;
 
-/// Smaller scales are written as this (2e-9 world units): one without a thickness would cost its whole chunk its digits.
+/// Smaller scales are written as this (2e-9 world units): one without a thickness would cost its whole chunk
+/// its digits.
 const LOG_SCALE_MIN: f32 = -20.0;
 
 /// Least and largest value on three axes.
@@ -45,15 +47,19 @@ pub(super) fn encode(cloud: &Gaussians, options: &Options) -> Vec<u8> {
     let mut cloud = cloud.gather(&morton_order(&cloud.positions));
     cloud.log_scales.as_flattened_mut().iter_mut().for_each(|value| *value = value.max(LOG_SCALE_MIN));
     let rest = coefficients(cloud.sh_degree_in_use()) - 1;
-    let chunks: Vec<Range<usize>> =
-        (0..cloud.len()).step_by(CHUNK_ROWS).map(|first| first..(first + CHUNK_ROWS).min(cloud.len())).collect();
+    let chunks: Vec<Range<usize>> = (0..cloud.len())
+        .step_by(CHUNK_ROWS)
+        .map(|first| first..(first + CHUNK_ROWS).min(cloud.len()))
+        .collect();
     let mut bytes = header(cloud.len(), chunks.len(), 3 * rest, options.screen_filter).into_bytes();
     let ranges: Vec<[Bounds; 3]> = chunks.iter().map(|rows| ranges(&cloud, rows.clone())).collect();
     ranges.iter().for_each(|chunk| {
         chunk.iter().flatten().flatten().for_each(|value| bytes.extend(value.to_le_bytes()));
     });
     for (rows, ranges) in chunks.into_iter().zip(&ranges) {
-        rows.for_each(|row| pack(&cloud, row, ranges).iter().for_each(|word| bytes.extend(word.to_le_bytes())));
+        rows.for_each(|row| {
+            pack(&cloud, row, ranges).iter().for_each(|word| bytes.extend(word.to_le_bytes()))
+        });
     }
     for row in &cloud.sh {
         bytes.extend((0..3).flat_map(|channel| (1..=rest).map(move |k| sh_byte(row[sh_index(channel, k)]))));
@@ -175,7 +181,10 @@ impl Table<'_> {
 pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> {
     let text = preamble(&mut &bytes[..], path)?;
     if !text.is_binary() || text.elements.iter().any(|element| element.has_list) {
-        return Err(FormatError::damaged(path, "is a compressed PLY with words or lists in it, and those have none"));
+        return Err(FormatError::damaged(
+            path,
+            "is a compressed PLY with words or lists in it, and those have none",
+        ));
     }
     let tables = tables(path, &text.elements, &bytes[text.bytes as usize..])?;
     let table = |name: &str| tables.iter().find(|table| table.element.name == name);
@@ -185,7 +194,8 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     let rows = vertex.element.count as usize;
     let expected = |table: &Table, count: usize| {
         let Element { name, count: found, .. } = table.element;
-        let problem = format!("has {found} rows in its element {name} where {count} belong to {rows} Gaussians");
+        let problem =
+            format!("has {found} rows in its element {name} where {count} belong to {rows} Gaussians");
         if *found == count as u64 { Ok(()) } else { Err(FormatError::damaged(path, problem)) }
     };
     expected(chunk, rows.div_ceil(CHUNK_ROWS))?;
@@ -204,7 +214,11 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
 }
 
 /// The bytes of every element; together they must be all that there are.
-fn tables<'a>(path: &'a Path, elements: &'a [Element], mut bytes: &'a [u8]) -> Result<Vec<Table<'a>>, FormatError> {
+fn tables<'a>(
+    path: &'a Path,
+    elements: &'a [Element],
+    mut bytes: &'a [u8],
+) -> Result<Vec<Table<'a>>, FormatError> {
     let mut tables = Vec::with_capacity(elements.len());
     for element in elements {
         let size = usize::try_from(element.count).ok().and_then(|count| count.checked_mul(element.row_bytes));
@@ -215,7 +229,11 @@ fn tables<'a>(path: &'a Path, elements: &'a [Element], mut bytes: &'a [u8]) -> R
         tables.push(Table { path, element, bytes: own });
         bytes = rest;
     }
-    if bytes.is_empty() { Ok(tables) } else { Err(FormatError::damaged(path, "goes on after its last element")) }
+    if bytes.is_empty() {
+        Ok(tables)
+    } else {
+        Err(FormatError::damaged(path, "goes on after its last element"))
+    }
 }
 
 fn chunk_ranges(table: &Table) -> Result<Vec<[Bounds; 3]>, FormatError> {
@@ -227,8 +245,9 @@ fn chunk_ranges(table: &Table) -> Result<Vec<[Bounds; 3]>, FormatError> {
             *offsets = table.offsets(axes.map(|axis| format!("{bound}_{axis}")), "float")?;
         }
     }
-    let bounds =
-        |row: &[u8], offsets: [[usize; 3]; 2]| offsets.map(|bound| bound.map(|at| f32::from_bits(word(row, at))));
+    let bounds = |row: &[u8], offsets: [[usize; 3]; 2]| {
+        offsets.map(|bound| bound.map(|at| f32::from_bits(word(row, at))))
+    };
     let ranges = |row| {
         let colours = if with_colours { bounds(row, offsets[2]) } else { [[0.0; 3], [1.0; 3]] };
         [bounds(row, offsets[0]), bounds(row, offsets[1]), colours]
@@ -250,8 +269,10 @@ fn unpack(
         let rotation = word(bytes, rotation);
         cloud.positions[row] = at(positions, split(word(bytes, position), BITS));
         cloud.log_scales[row] = at(log_scales, split(word(bytes, scale), BITS));
-        cloud.rotations[row] =
-            from_smallest_three((rotation >> 30) as usize, split(rotation, [10; 3]).map(component_of_fraction));
+        cloud.rotations[row] = from_smallest_three(
+            (rotation >> 30) as usize,
+            split(rotation, [10; 3]).map(component_of_fraction),
+        );
         let [r, g, b, alpha] = word(bytes, colour).to_be_bytes().map(|level| f32::from(level) / 255.0);
         cloud.sh[row][..3].copy_from_slice(&at(colours, [r, g, b]).map(dc_from_rgb));
         cloud.opacity_logits[row] = opacity_logit(alpha);
@@ -262,7 +283,8 @@ fn unpack(
 fn unpack_sh(cloud: &mut Gaussians, table: &Table) -> Result<u8, FormatError> {
     let width = table.element.width();
     let Some(degree) = (1..=3u8).find(|&degree| 3 * (coefficients(degree) - 1) == width) else {
-        let problem = format!("has {width} spherical harmonics a Gaussian, and degrees 1 to 3 have 9, 24 or 45");
+        let problem =
+            format!("has {width} spherical harmonics a Gaussian, and degrees 1 to 3 have 9, 24 or 45");
         return Err(FormatError::damaged(table.path, problem));
     };
     let rest = width / 3;

@@ -9,11 +9,11 @@
 //! | `.sog` | PlayCanvas | of the cloud |
 //! | `.glb` | Khronos, `KHR_gaussian_splatting` | y up, z back |
 //!
-//! A cloud's own frame has y down and z forward, as COLMAP's first camera has. The half turn about x that leads to the
-//! other frame is made on the way in and out.
+//! A cloud's own frame has y down and z forward, as COLMAP's first camera has. The half turn about x that
+//! leads to the other frame is made on the way in and out.
 //!
-//! Each codec turns bytes into a cloud and back, and knows nothing of files. Input is not trusted: a count is compared
-//! with the bytes that are there before memory is taken.
+//! Each codec turns bytes into a cloud and back, and knows nothing of files. Input is not trusted: a count is
+//! compared with the bytes that are there before memory is taken.
 
 mod compressed_ply;
 mod error;
@@ -61,7 +61,8 @@ impl Format {
     /// The format that the name of a file asks for, in capital or small letters.
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_lowercase();
-        let is_asked = |format: &Self| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty());
+        let is_asked =
+            |format: &Self| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty());
         // Of two endings, the longer one.
         Self::ALL.into_iter().filter(is_asked).max_by_key(|format| format.ending().len())
     }
@@ -78,7 +79,8 @@ impl Format {
         }
     }
 
-    /// The format of a file that begins with `head`: all but `.splat` have a mark there, and it goes before the name.
+    /// The format of a file that begins with `head`: all but `.splat` have a mark there, and it goes before
+    /// the name.
     fn of_content(path: &Path, head: &[u8]) -> Self {
         match head {
             // gzip with deflate, and the five flags that it has.
@@ -111,8 +113,8 @@ pub struct Loaded {
 pub struct Options {
     /// How a viewer should filter; formats that cannot say it leave it out.
     pub screen_filter: ScreenFilter,
-    /// Highest degree of the spherical harmonics that are written. Formats other than `.ply`, which many programs read
-    /// at degree 3 only, leave degrees out that are 0 throughout.
+    /// Highest degree of the spherical harmonics that are written. Formats other than `.ply`, which many
+    /// programs read at degree 3 only, leave degrees out that are 0 throughout.
     pub sh_degree: u8,
     /// Which version of `.spz`.
     pub spz_version: SpzVersion,
@@ -120,7 +122,11 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { screen_filter: ScreenFilter::default(), sh_degree: SH_DEGREE_MAX, spz_version: SpzVersion::default() }
+        Self {
+            screen_filter: ScreenFilter::default(),
+            sh_degree: SH_DEGREE_MAX,
+            spz_version: SpzVersion::default(),
+        }
     }
 }
 
@@ -139,9 +145,9 @@ impl From<(PlyHeader, Gaussians)> for Decoded {
     }
 }
 
-/// Reads a splat of any format. Infinite opacities, as converters write them for an alpha of 255, become opaque and
-/// transparent, and a log-scale of minus infinity is one of a scale of 0; other values that are not finite are errors, and
-/// so are values that overflow where they are used.
+/// Reads a splat of any format. Infinite opacities, as converters write them for an alpha of 255, become
+/// opaque and transparent, and a log-scale of minus infinity is one of a scale of 0; other values that are
+/// not finite are errors, and so are values that overflow where they are used.
 pub fn read(path: &Path) -> Result<Loaded, FormatError> {
     checked(path, read_unchecked(path)?)
 }
@@ -199,8 +205,8 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
     Ok(head)
 }
 
-/// Writes `cloud` as `format`, whole or not at all; returns the number of bytes. A 3D filter is kept by `.ply` and baked
-/// in by the others. Formats that compress rows by their neighbours change their order.
+/// Writes `cloud` as `format`, whole or not at all; returns the number of bytes. A 3D filter is kept by
+/// `.ply` and baked in by the others. Formats that compress rows by their neighbours change their order.
 ///
 /// # Panics
 /// If the columns of `cloud` have different lengths.
@@ -208,7 +214,8 @@ pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) 
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     if format == Format::Ply {
         write_ply(path, cloud, &ply_options(options))?;
-        let written = fs::metadata(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
+        let written =
+            fs::metadata(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
         return Ok(written.len());
     }
     let bytes = to_bytes(path, format, cloud, options)?;
@@ -221,7 +228,12 @@ pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) 
 ///
 /// # Panics
 /// If the columns of `cloud` have different lengths.
-pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
+pub fn to_bytes(
+    path: &Path,
+    format: Format,
+    cloud: &Gaussians,
+    options: &Options,
+) -> Result<Vec<u8>, FormatError> {
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     let baked = || baked(path, cloud, options);
     match format {
@@ -263,12 +275,13 @@ fn ply_options(options: &Options) -> PlyOptions {
     PlyOptions { screen_filter: options.screen_filter, sh_degree: options.sh_degree.min(SH_DEGREE_MAX) }
 }
 
-/// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes: a short file
-/// of repetitions can claim any number of Gaussians. The smallest in docs/formats.md have 17
+/// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes:
+/// a short file of repetitions can claim any number of Gaussians. The smallest in docs/formats.md have 17
 /// bytes for the 236 of a Gaussian.
 const EXPANSION: [u64; 2] = [1 << 28, 1 << 6];
 
-/// Fails where a compressed file claims more Gaussians than its size makes likely, or than there is memory for.
+/// Fails where a compressed file claims more Gaussians than its size makes likely, or than there is memory
+/// for.
 fn check_claim(path: &Path, gaussians: u64, file_bytes: usize) -> Result<(), FormatError> {
     let most = EXPANSION[1].saturating_mul(file_bytes as u64).saturating_add(EXPANSION[0]);
     if gaussians.saturating_mul(Gaussians::BYTES_PER_ROW as u64) <= most {
@@ -296,7 +309,10 @@ mod tests {
         let of = |name: &str| Format::of(Path::new(name));
         for format in Format::ALL {
             assert_eq!(of(&format!("a.b{}", format.ending().to_uppercase())), Some(format));
-            assert_eq!(of(format.ending()), if format == Format::CompressedPly { Some(Format::Ply) } else { None });
+            assert_eq!(
+                of(format.ending()),
+                if format == Format::CompressedPly { Some(Format::Ply) } else { None }
+            );
         }
         assert_eq!((of("a"), of("spz"), of("a.spz.zip"), of("..")), (None, None, None, None));
     }

@@ -1,5 +1,5 @@
-//! What several formats share: words, opacities and colours as bytes, quaternions by their three smallest components, and the
-//! half turn between y down and y up.
+//! What several formats share: words, opacities and colours as bytes, quaternions by their three smallest
+//! components, and the half turn between y down and y up.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
@@ -27,7 +27,8 @@ pub(super) fn clamp_opacities(cloud: &mut Gaussians) {
     }
 }
 
-/// Replaces log-scales of minus infinity, which Gaussians without a thickness have, by the one of a scale of 0.
+/// Replaces log-scales of minus infinity, which Gaussians without a thickness have, by the one of a scale of
+/// 0.
 pub(super) fn clamp_log_scales(cloud: &mut Gaussians) {
     let log_scales = cloud.log_scales.as_flattened_mut().iter_mut();
     log_scales.filter(|value| **value == f32::NEG_INFINITY).for_each(|value| *value = log_scale(0.0));
@@ -38,8 +39,8 @@ pub(super) fn log_scale(scale: f32) -> f32 {
     if scale >= 0.0 { scale.max(f32::MIN_POSITIVE).ln() } else { f32::NAN }
 }
 
-/// The standard deviation of a logarithm, at most the largest float: readers refuse infinite ones. `f32::MAX.ln()` is
-/// rounded up, so the largest float itself needs that.
+/// The standard deviation of a logarithm, at most the largest float: readers refuse infinite ones.
+/// `f32::MAX.ln()` is rounded up, so the largest float itself needs that.
 pub(super) fn scale(log_scale: f32) -> f32 {
     log_scale.exp().min(f32::MAX)
 }
@@ -71,8 +72,8 @@ pub(super) fn normalised(rotation: [f32; 4]) -> [f32; 4] {
     scaled.map(|value| value / length)
 }
 
-/// Index of the component of largest magnitude, and the other three in order, with the sign that makes the largest
-/// positive. They lie within `±1/√2`.
+/// Index of the component of largest magnitude, and the other three in order, with the sign that makes the
+/// largest positive. They lie within `±1/√2`.
 pub(super) fn smallest_three(rotation: [f32; 4]) -> (usize, [f32; 3]) {
     let unit = normalised(rotation);
     let largest = (1..4).fold(0, |best, i| if unit[i].abs() > unit[best].abs() { i } else { best });
@@ -102,7 +103,8 @@ pub(super) fn component_of_fraction(fraction: f32) -> f32 {
     SQRT_2 * (fraction - 0.5)
 }
 
-/// Signs of the spherical harmonics under a half turn about x: negative where y and z occur an odd number of times.
+/// Signs of the spherical harmonics under a half turn about x: negative where y and z occur an odd number of
+/// times.
 const HALF_TURN_SIGNS: [f32; SH_COEFFICIENTS] =
     [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0];
 
@@ -124,7 +126,9 @@ mod tests {
 
     #[test]
     fn a_quaternion_survives_its_three_smallest_components() {
-        for rotation in [[0.3, -0.8, 0.1, 0.4f32], [-2.0, 0.0, 0.0, 1e-3], [1e-30, 0.0, 0.0, -1e-30], [0.0; 4]] {
+        for rotation in
+            [[0.3, -0.8, 0.1, 0.4f32], [-2.0, 0.0, 0.0, 1e-3], [1e-30, 0.0, 0.0, -1e-30], [0.0; 4]]
+        {
             let (largest, three) = smallest_three(rotation);
             assert!(three.iter().all(|value| value.abs() <= FRAC_1_SQRT_2 + 1e-6));
             let (back, unit) = (from_smallest_three(largest, three), normalised(rotation));

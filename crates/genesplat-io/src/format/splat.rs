@@ -1,7 +1,8 @@
-//! `.splat`, the layout of antimatter15's viewer: 32 bytes a row, without a header and without view-dependent colour.
+//! `.splat`, the layout of antimatter15's viewer: 32 bytes a row, without a header and without view-dependent
+//! colour.
 //!
-//! Position and standard deviations as floats; red, green, blue and opacity as bytes; the rotation `(w, x, y, z)` as
-//! bytes around 128.
+//! Position and standard deviations as floats; red, green, blue and opacity as bytes; the rotation `(w, x, y,
+//! z)` as bytes around 128.
 
 use std::path::Path;
 
@@ -27,7 +28,8 @@ pub(super) fn encode(cloud: &Gaussians) -> Vec<u8> {
 
 pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> {
     let (rows, []) = bytes.as_chunks::<ROW_BYTES>() else {
-        let problem = format!("holds {} bytes, which are no whole rows of {ROW_BYTES} as .splat has them", bytes.len());
+        let problem =
+            format!("holds {} bytes, which are no whole rows of {ROW_BYTES} as .splat has them", bytes.len());
         return Err(FormatError::damaged(path, problem));
     };
     ensure_memory(path, 1, rows.len())?;

@@ -1,4 +1,5 @@
-//! Decodes PNG, JPEG and WebP: first the header, then the pixels within limits, and nothing of a file that was cut off.
+//! Decodes PNG, JPEG and WebP: first the header, then the pixels within limits, and nothing of a file that
+//! was cut off.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor};
@@ -13,8 +14,8 @@ use crate::digest::Digest;
 const PIXELS_MAX: u64 = 1 << 28;
 /// Four channels of 16 bits.
 const PIXEL_BYTES_MAX: u64 = 8;
-/// Most pixels that a byte of a file can stand for. Deflate repeats at most 258 bytes by 2 bits, and each may hold 8
-/// pixels of a PNG; a JPEG spends a bit on 64 pixels of the component that has most.
+/// Most pixels that a byte of a file can stand for. Deflate repeats at most 258 bytes by 2 bits, and each may
+/// hold 8 pixels of a PNG; a JPEG spends a bit on 64 pixels of the component that has most.
 const PIXELS_PER_BYTE_MAX: u64 = 8 * 1032;
 /// Three channels of 8 bits, as all photos are in the end.
 const RGB_BYTES: u64 = 3;
@@ -25,14 +26,15 @@ const COEFFICIENT_BYTES: u64 = 6;
 /// Files up to this size, bytes, are read before their header is looked at.
 const SMALL_FILE: u64 = 64 << 20;
 
-/// Whether a large file may be read at all: a picture that is not compressed takes no more than its pixels and some words
-/// about them.
+/// Whether a large file may be read at all: a picture that is not compressed takes no more than its pixels
+/// and some words about them.
 pub(super) fn check_file(file: &File) -> Result<(), String> {
     let bytes = file.metadata().map_err(|error| error.to_string())?.len();
     if bytes <= SMALL_FILE {
         return Ok(());
     }
-    let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(|error| error.to_string())?;
+    let reader =
+        ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(|error| error.to_string())?;
     let (width, height) = reader.into_dimensions().map_err(|error| error.to_string())?;
     let pixels = (u64::from(width) * u64::from(height)).min(PIXELS_MAX);
     if bytes > SMALL_FILE + PIXEL_BYTES_MAX * pixels {
@@ -70,9 +72,11 @@ fn not_read(bytes: &[u8]) -> &'static str {
 }
 
 impl Encoded {
-    /// The picture in `bytes`, whatever the name of its file says; the reason where there is none that can be decoded.
+    /// The picture in `bytes`, whatever the name of its file says; the reason where there is none that can be
+    /// decoded.
     pub(super) fn of(bytes: Vec<u8>) -> Result<Self, String> {
-        let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| error.to_string())?;
+        let reader =
+            ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| error.to_string())?;
         let format = reader.format().ok_or_else(|| not_read(&bytes))?;
         if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
             return Err("the file was cut off before the end of the picture".into());
@@ -91,7 +95,8 @@ impl Encoded {
     /// The same, turned upright if its tag says how.
     pub(super) fn upright(self) -> Self {
         let Some(tag) = self.tag() else { return self };
-        let [width, height] = if is_sideways(tag) { [self.height, self.width] } else { [self.width, self.height] };
+        let [width, height] =
+            if is_sideways(tag) { [self.height, self.width] } else { [self.width, self.height] };
         Self { width, height, turn: Some(tag), ..self }
     }
 
@@ -110,7 +115,9 @@ impl Encoded {
     pub(super) fn is_lossy(&self) -> bool {
         match self.format {
             ImageFormat::Jpeg => true,
-            ImageFormat::WebP => WebPDecoder::new(Cursor::new(&self.bytes)).is_ok_and(|mut decoder| decoder.is_lossy()),
+            ImageFormat::WebP => {
+                WebPDecoder::new(Cursor::new(&self.bytes)).is_ok_and(|mut decoder| decoder.is_lossy())
+            }
             _ => false,
         }
     }
@@ -136,7 +143,8 @@ impl Encoded {
         Ok(())
     }
 
-    /// Most bytes that this photo takes at once while it is loaded: its file, what that holds, and an RGB copy.
+    /// Most bytes that this photo takes at once while it is loaded: its file, what that holds, and an RGB
+    /// copy.
     pub(super) fn loading_bytes(&self) -> u64 {
         let progressive = self.format == ImageFormat::Jpeg && jpeg_is_progressive(&self.bytes);
         let coefficients = if progressive { COEFFICIENT_BYTES } else { 0 };
@@ -162,8 +170,8 @@ const START_OF_SCAN: u8 = 0xDA;
 /// Start of a frame whose coefficients come in several scans.
 const PROGRESSIVE_FRAME: u8 = 0xC2;
 
-/// The segments of a JPEG up to its first scan: each one's marker, and where it ends. Stops at fill bytes and unusual
-/// headers.
+/// The segments of a JPEG up to its first scan: each one's marker, and where it ends. Stops at fill bytes and
+/// unusual headers.
 fn jpeg_segments(bytes: &[u8]) -> impl Iterator<Item = (u8, usize)> {
     let mut at = 2;
     std::iter::from_fn(move || {
@@ -175,14 +183,16 @@ fn jpeg_segments(bytes: &[u8]) -> impl Iterator<Item = (u8, usize)> {
 
 /// True when an end-of-image marker follows the start of the scan data.
 ///
-/// JPEG decoders fill what a truncated file lacks with grey, which would be trained on silently. Inside scan data a
-/// byte 0xFF is always followed by 0x00 or a restart marker (ITU-T T.81, B.1.1.5), so the marker cannot occur by
-/// chance.
+/// JPEG decoders fill what a truncated file lacks with grey, which would be trained on silently. Inside scan
+/// data a byte 0xFF is always followed by 0x00 or a restart marker (ITU-T T.81, B.1.1.5), so the marker
+/// cannot occur by chance.
 fn jpeg_is_whole(bytes: &[u8]) -> bool {
     const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
     let scan = jpeg_segments(bytes).find(|(marker, _)| *marker == START_OF_SCAN);
     // Without a scan the decision is left to the decoder.
-    scan.is_none_or(|(_, at)| bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == END_OF_IMAGE)))
+    scan.is_none_or(|(_, at)| {
+        bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == END_OF_IMAGE))
+    })
 }
 
 fn jpeg_is_progressive(bytes: &[u8]) -> bool {

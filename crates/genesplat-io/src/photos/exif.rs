@@ -8,8 +8,8 @@ use image::{ImageDecoder, ImageReader};
 
 use crate::input;
 
-/// What tells a lens from others: the camera's model, the focal length, and that for a picture as large as 35 mm film, which
-/// follows digital zoom.
+/// What tells a lens from others: the camera's model, the focal length, and that for a picture as large as 35
+/// mm film, which follows digital zoom.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct LensTags([Option<String>; 3]);
 
@@ -39,10 +39,14 @@ mod tests {
         let entry = |tag: u16, kind: u8, count: u8, value: [u8; 4]| {
             [&tag.to_le_bytes()[..], &[kind, 0, count, 0, 0, 0], &value].concat()
         };
-        let first =
-            [entry(0x0110, 2, 8, [80, 0, 0, 0]), entry(0x0112, 3, 1, [6, 0, 0, 0]), entry(0x8769, 4, 1, [50, 0, 0, 0])];
+        let first = [
+            entry(0x0110, 2, 8, [80, 0, 0, 0]),
+            entry(0x0112, 3, 1, [6, 0, 0, 0]),
+            entry(0x8769, 4, 1, [50, 0, 0, 0]),
+        ];
         let settings = [entry(0x920A, 5, 1, [88, 0, 0, 0]), entry(0xA405, 3, 1, [mm_35, 0, 0, 0])];
-        let head = [b"II*\0\x08\0\0\0\x03\0".to_vec(), first.concat(), vec![0; 4], vec![2, 0], settings.concat()];
+        let head =
+            [b"II*\0\x08\0\0\0\x03\0".to_vec(), first.concat(), vec![0; 4], vec![2, 0], settings.concat()];
         let head = [head.concat(), vec![0; 4]].concat();
         assert_eq!(head.len(), 80);
         [&head[..], model, &[tenths_of_mm, 0, 0, 0, 10, 0, 0, 0]].concat()

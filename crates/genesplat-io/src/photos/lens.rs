@@ -1,11 +1,12 @@
 //! Lenses: where a real camera shows what a pinhole would show at a point of its image plane at depth 1.
 //!
-//! Every model is a projection, which scales the distance from the axis, and then a polynomial. The polynomial is
-//! Brown's as OpenCV writes it: with `r² = x² + y²`,
-//! `x' = x·R + 2 p1 x y + p2 (r² + 2 x²) + s1 r² + s2 r⁴`, `y' = y·R + p1 (r² + 2 y²) + 2 p2 x y + s3 r² + s4 r⁴`,
-//! `R = (1 + k1 r² + k2 r⁴ + ...) / (1 + d1 r² + d2 r⁴ + d3 r⁶)`.
-//! Sources: OpenCV, "Camera Calibration and 3D Reconstruction"; COLMAP's documentation of its camera models; Devernay and
-//! Faugeras 2001 (field of view), Fitzgibbon 2001 (division), Khomutenko et al. 2016 (enhanced unified model).
+//! Every model is a projection, which scales the distance from the axis, and then a polynomial. The
+//! polynomial is Brown's as OpenCV writes it: with `r² = x² + y²`,
+//! `x' = x·R + 2 p1 x y + p2 (r² + 2 x²) + s1 r² + s2 r⁴`, `y' = y·R + p1 (r² + 2 y²) + 2 p2 x y + s3 r² + s4
+//! r⁴`, `R = (1 + k1 r² + k2 r⁴ + ...) / (1 + d1 r² + d2 r⁴ + d3 r⁶)`.
+//! Sources: OpenCV, "Camera Calibration and 3D Reconstruction"; COLMAP's documentation of its camera models;
+//! Devernay and Faugeras 2001 (field of view), Fitzgibbon 2001 (division), Khomutenko et al. 2016 (enhanced
+//! unified model).
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -64,7 +65,8 @@ impl Lens {
         [&projection[..], &radial, &divisor, &tangential, prism.as_flattened(), &order].concat()
     }
 
-    /// Where the lens shows the point `(x, y)` of the pinhole's image plane; not finite where it shows it nowhere.
+    /// Where the lens shows the point `(x, y)` of the pinhole's image plane; not finite where it shows it
+    /// nowhere.
     pub(crate) fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let factor = self.projection.factor((x * x + y * y).sqrt());
         self.polynomial.bend([factor * x, factor * y])
@@ -77,8 +79,8 @@ impl Lens {
         Some([factor * x, factor * y])
     }
 
-    /// True when the distance from the axis grows all the way to `point`: where it turns around, the model folds the
-    /// picture over.
+    /// True when the distance from the axis grows all the way to `point`: where it turns around, the model
+    /// folds the picture over.
     pub(crate) fn grows_to(&self, point: [f64; 2]) -> bool {
         const STEPS: u32 = 32;
         let distance = |step: u32| {
@@ -102,7 +104,9 @@ impl Projection {
                 over((r * steepness).atan(), r * steepness) * steepness / omega
             }
             Self::Division { k } => 2.0 / (1.0 + (1.0 - 4.0 * k * r * r).sqrt()),
-            Self::EnhancedUnified { alpha, beta } => 1.0 / (alpha * (beta * r * r + 1.0).sqrt() + 1.0 - alpha),
+            Self::EnhancedUnified { alpha, beta } => {
+                1.0 / (alpha * (beta * r * r + 1.0).sqrt() + 1.0 - alpha)
+            }
         }
     }
 
@@ -195,8 +199,9 @@ mod tests {
             Projection::EnhancedUnified { alpha: 0.6, beta: 1.1 },
         ];
         let polynomials = [Polynomial::default(), BROWN, Polynomial { radial_first: true, ..BROWN }];
-        let pairs =
-            projections.into_iter().flat_map(|projection| polynomials.map(|polynomial| (projection, polynomial)));
+        let pairs = projections
+            .into_iter()
+            .flat_map(|projection| polynomials.map(|polynomial| (projection, polynomial)));
         pairs.map(|(projection, polynomial)| Lens { projection, polynomial }).collect()
     }
 
@@ -224,6 +229,8 @@ mod tests {
         let lens = Lens { polynomial: Polynomial { radial, ..Polynomial::default() }, ..Lens::default() };
         // r - r³ turns around at 1/√3.
         assert!(lens.grows_to([0.55, 0.0]) && !lens.grows_to([0.6, 0.0]));
-        assert!(!Lens { projection: Projection::Division { k: 1.0 }, ..Lens::default() }.grows_to([0.0, 2.0]));
+        assert!(
+            !Lens { projection: Projection::Division { k: 1.0 }, ..Lens::default() }.grows_to([0.0, 2.0])
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! Masks of photos: which pixels count, at the size and through the lens at which the photo is loaded.
 //!
-//! A pixel of a reduced or undistorted photo is mixed from many. It counts only where all that it is mixed from does, so
-//! what a mask hides reaches no pixel that counts; the mask grows by up to two pixels for that.
+//! A pixel of a reduced or undistorted photo is mixed from many. It counts only where all that it is mixed
+//! from does, so what a mask hides reaches no pixel that counts; the mask grows by up to two pixels for that.
 
 use std::path::Path;
 
@@ -20,8 +20,8 @@ pub(crate) struct PhotoMask {
 }
 
 impl PhotoMask {
-    /// What the picture at `path` leaves: all that is not black, as COLMAP and nerfstudio have it. What a lossy file has made of
-    /// black is darker than grey.
+    /// What the picture at `path` leaves: all that is not black, as COLMAP and nerfstudio have it. What a
+    /// lossy file has made of black is darker than grey.
     pub(crate) fn open(path: &Path) -> Result<Self, PhotoError> {
         EncodedPhoto::open(path).and_then(Self::of)
     }
@@ -66,8 +66,9 @@ impl PhotoMask {
     /// That of the photo that [`super::resize()`] makes.
     pub(crate) fn resized(&self, size: [u32; 2]) -> Self {
         let [columns, rows] = [0, 1].map(|axis| reaches(self.size[axis] as usize, size[axis] as usize));
-        let row_of =
-            |row: &[bool]| columns.iter().map(|reach| row[reach.clone()].iter().all(|counts| *counts)).collect();
+        let row_of = |row: &[bool]| {
+            columns.iter().map(|reach| row[reach.clone()].iter().all(|counts| *counts)).collect()
+        };
         let narrowed: Vec<Vec<bool>> = self.counts.chunks_exact(self.size[0] as usize).map(row_of).collect();
         let counts = rows.iter().flat_map(|reach| {
             let narrowed = &narrowed;
@@ -94,7 +95,9 @@ mod tests {
     }
 
     fn noise(size: [u32; 2], seed: u32) -> Photo {
-        let rgb = (0..3 * size[0] * size[1]).map(|at| (at.wrapping_mul(2_654_435_761 ^ seed) >> 24) as u8).collect();
+        let rgb = (0..3 * size[0] * size[1])
+            .map(|at| (at.wrapping_mul(2_654_435_761 ^ seed) >> 24) as u8)
+            .collect();
         Photo { width: size[0], height: size[1], rgb }
     }
 

@@ -1,7 +1,7 @@
 //! How much memory photos take while they are loaded, over all threads.
 //!
-//! A picture takes hundreds of times the bytes of its file, and one is loaded on each thread. A thread whose picture does
-//! not fit beside the others waits until it does.
+//! A picture takes hundreds of times the bytes of its file, and one is loaded on each thread. A thread whose
+//! picture does not fit beside the others waits until it does.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 

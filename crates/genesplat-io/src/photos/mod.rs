@@ -1,8 +1,9 @@
 //! Photos in and out: decode, composite, undistort, resize, encode.
 //!
-//! What is decoded here is what the quality figures are measured against, so each rule follows the reference trainer:
-//! sizes by its `-r` rule, resampling as Pillow's bicubic filter with antialiasing (two passes with 8-bit values
-//! between them), and transparency composited on a background *before* the resize, truncated to 8 bit.
+//! What is decoded here is what the quality figures are measured against, so each rule follows the reference
+//! trainer: sizes by its `-r` rule, resampling as Pillow's bicubic filter with antialiasing (two passes with
+//! 8-bit values between them), and transparency composited on a background *before* the resize, truncated to
+//! 8 bit.
 
 mod decode;
 mod exif;
@@ -69,8 +70,8 @@ pub enum PhotoError {
 
 /// A photo of which the header is read, and no pixel.
 ///
-/// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the reference
-/// trainer ignore them, unless a camera shows that it was calibrated on upright photos.
+/// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the
+/// reference trainer ignore them, unless a camera shows that it was calibrated on upright photos.
 pub struct EncodedPhoto {
     path: PathBuf,
     encoded: Encoded,
@@ -106,8 +107,8 @@ impl EncodedPhoto {
         self.encoded.exif().and_then(exif::of_exif)
     }
 
-    /// The same, turned upright by its orientation tag where only then it has the shape of `width` x `height` px: its
-    /// camera was calibrated on the upright photo.
+    /// The same, turned upright by its orientation tag where only then it has the shape of `width` x `height`
+    /// px: its camera was calibrated on the upright photo.
     pub(crate) fn turned_like(self, width: u32, height: u32) -> Self {
         let is_like = |(a, b): (u32, u32)| (a > b) == (width > height);
         if is_like(self.size()) || self.encoded.width == self.encoded.height || width == height {
@@ -127,7 +128,10 @@ impl EncodedPhoto {
     }
 
     /// The pixels on `background`, and what of the photo is opaque, where not all is.
-    pub(crate) fn decode_with_opaque(self, background: [u8; 3]) -> Result<(Photo, Option<PhotoMask>), PhotoError> {
+    pub(crate) fn decode_with_opaque(
+        self,
+        background: [u8; 3],
+    ) -> Result<(Photo, Option<PhotoMask>), PhotoError> {
         let image = self.decode()?;
         let opaque = PhotoMask::of_opaque(&image);
         Ok((composite(image, background), opaque))
@@ -180,7 +184,9 @@ pub fn photo_size(path: &Path) -> Result<(u32, u32), PhotoError> {
     let read = |source| PhotoError::Read { path: path.to_owned(), source };
     let file = input::open(path).map_err(read)?;
     let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(read)?;
-    reader.into_dimensions().map_err(|error| PhotoError::Decode { path: path.to_owned(), reason: error.to_string() })
+    reader
+        .into_dimensions()
+        .map_err(|error| PhotoError::Decode { path: path.to_owned(), reason: error.to_string() })
 }
 
 /// Writes `photo` as a PNG, whole or not at all, to a path that the user has given.

@@ -1,8 +1,9 @@
 //! Bicubic resampling with antialiasing, value for value what Pillow's `resize` gives.
 //!
-//! Published quality figures are measured on photos that Pillow reduced, so its arithmetic is followed to the bit: a
-//! horizontal pass, then a vertical one, each with weights in 22-bit fixed point and an 8-bit result. Reference:
-//! Pillow, `Resample.c`; Keys, "Cubic convolution interpolation for digital image processing", 1981 (a = −0.5).
+//! Published quality figures are measured on photos that Pillow reduced, so its arithmetic is followed to the
+//! bit: a horizontal pass, then a vertical one, each with weights in 22-bit fixed point and an 8-bit result.
+//! Reference: Pillow, `Resample.c`; Keys, "Cubic convolution interpolation for digital image processing",
+//! 1981 (a = −0.5).
 
 use std::ops::Range;
 
@@ -84,7 +85,8 @@ fn all_taps(source: usize, target: usize) -> Vec<Taps> {
         // Truncation of a negative number goes to zero, which is where the clamp would put it.
         let first = (centre - reach + 0.5) as usize;
         let end = ((centre + reach + 0.5) as usize).min(source);
-        let weights: Vec<f64> = (first..end).map(|at| cubic((at as f64 - centre + 0.5) * (1.0 / stretch))).collect();
+        let weights: Vec<f64> =
+            (first..end).map(|at| cubic((at as f64 - centre + 0.5) * (1.0 / stretch))).collect();
         let sum: f64 = weights.iter().sum();
         Taps { first, weights: weights.iter().map(|weight| fixed(weight / sum)).collect() }
     };

@@ -6,7 +6,8 @@ const AUTO_WIDTH: u32 = 1600;
 /// At which size photos are loaded; cameras follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum PhotoSize {
-    /// The reference's default (`-r -1`): as they are up to a width of 1,600 px, reduced to that width beyond.
+    /// The reference's default (`-r -1`): as they are up to a width of 1,600 px, reduced to that width
+    /// beyond.
     #[default]
     Auto,
     /// Both sides divided by this and rounded half to even, as the reference's `-r 2`, `4` and `8`.

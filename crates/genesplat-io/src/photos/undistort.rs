@@ -1,9 +1,10 @@
 //! Undoes the distortion of lenses: photos as a pinhole would have taken them.
 //!
-//! The pinhole is the one of COLMAP's `image_undistorter` with its default settings (`blank_pixels` 0): focal lengths stay,
-//! and the picture is cut to the largest rectangle, with the principal point at the same fraction of its sides, that
-//! shows nothing but the photo. So a reconstruction trains to the same result whether COLMAP has undistorted it or not.
-//! Where a lens folds the picture over, the rectangle is made smaller until it ends before the fold.
+//! The pinhole is the one of COLMAP's `image_undistorter` with its default settings (`blank_pixels` 0): focal
+//! lengths stay, and the picture is cut to the largest rectangle, with the principal point at the same
+//! fraction of its sides, that shows nothing but the photo. So a reconstruction trains to the same result
+//! whether COLMAP has undistorted it or not. Where a lens folds the picture over, the rectangle is made
+//! smaller until it ends before the fold.
 
 use genesplat_core::{Camera, Photo};
 
@@ -11,12 +12,14 @@ use super::lens::Lens;
 use super::mask::PhotoMask;
 use super::resize::resize;
 
-/// Least and largest side of the undistorted picture, as a factor of the photo's (COLMAP, `UndistortCameraOptions`).
+/// Least and largest side of the undistorted picture, as a factor of the photo's (COLMAP,
+/// `UndistortCameraOptions`).
 const SCALES: [f64; 2] = [0.2, 2.0];
 /// A rim may lie so far outside of the photo, px: the pixel there is that of the photo's own rim.
 const RIM_TOLERANCE_PX: f64 = 1.0;
 
-/// The pinhole that takes the undistorted photo of `camera`; `None` if its lens is stronger than its model can undo.
+/// The pinhole that takes the undistorted photo of `camera`; `None` if its lens is stronger than its model
+/// can undo.
 pub(crate) fn pinhole(camera: &Camera, lens: &Lens) -> Option<Camera> {
     let scales = [0, 1].map(|axis| content_scale(camera, lens, axis).clamp(SCALES[0], SCALES[1]));
     let cut = |part: f64| cut_to(camera, scales.map(|scale| part * scale));
@@ -36,7 +39,8 @@ pub(crate) fn pinhole(camera: &Camera, lens: &Lens) -> Option<Camera> {
     Some(cut(low))
 }
 
-/// How long a side along `axis` may be, as a factor of the photo's, before one of its ends leaves the photo somewhere.
+/// How long a side along `axis` may be, as a factor of the photo's, before one of its ends leaves the photo
+/// somewhere.
 fn content_scale(camera: &Camera, lens: &Lens, axis: usize) -> f64 {
     let sides = [camera.width, camera.height];
     let (side, centre) = (f64::from(sides[axis]), camera.principal_px[axis]);
@@ -54,7 +58,8 @@ fn content_scale(camera: &Camera, lens: &Lens, axis: usize) -> f64 {
     ((centre - near) / centre).min((far - centre) / (side - 0.5 - centre))
 }
 
-/// `camera` with sides of these factors of its own, whole pixels, and the principal point at the same fraction of them.
+/// `camera` with sides of these factors of its own, whole pixels, and the principal point at the same
+/// fraction of them.
 fn cut_to(camera: &Camera, scales: [f64; 2]) -> Camera {
     let cut = |side: u32, scale: f64| ((f64::from(side) * scale) as u32).max(1);
     let [width, height] = [cut(camera.width, scales[0]), cut(camera.height, scales[1])];
@@ -90,11 +95,19 @@ fn source(camera: &Camera, lens: &Lens, point: [f64; 2]) -> [f64; 2] {
     [0, 1].map(|axis| camera.focal_px[axis] * shown[axis] + camera.principal_px[axis])
 }
 
-/// `photo`, taken by `camera` through a lens, as [`pinhole`] takes it, at a width and height that are not above its own.
+/// `photo`, taken by `camera` through a lens, as [`pinhole`] takes it, at a width and height that are not
+/// above its own.
 ///
-/// Photo and picture are handled at twice that size, or at their own where that is smaller: the pixels between which
-/// the resampling interpolates are then finer than those that are kept, so it does not blur them.
-pub(crate) fn undistort(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera, size: [u32; 2]) -> Photo {
+/// Photo and picture are handled at twice that size, or at their own where that is smaller: the pixels
+/// between which the resampling interpolates are then finer than those that are kept, so it does not blur
+/// them.
+pub(crate) fn undistort(
+    photo: &Photo,
+    camera: &Camera,
+    lens: &Lens,
+    pinhole: &Camera,
+    size: [u32; 2],
+) -> Photo {
     let (camera, fine) = fine_cameras(camera, pinhole, size);
     resize(&resample(&resize(photo, camera.width, camera.height), &camera, lens, &fine), size[0], size[1])
 }
@@ -124,13 +137,15 @@ fn fine_cameras(camera: &Camera, pinhole: &Camera, [width, height]: [u32; 2]) ->
     let reduced = |side: u32, part: u32, whole: u32| {
         (f64::from(side) * f64::from(part) / f64::from(whole)).round().max(1.0) as u32
     };
-    let [across, down] =
-        [reduced(camera.width, fine.width, pinhole.width), reduced(camera.height, fine.height, pinhole.height)];
+    let [across, down] = [
+        reduced(camera.width, fine.width, pinhole.width),
+        reduced(camera.height, fine.height, pinhole.height),
+    ];
     (camera.resized(across, down), fine)
 }
 
-/// Where a photo shows what a pinhole shows: for each row of pixels exactly at some of them, and by cubics in between,
-/// which are off by less than a thousandth of a pixel.
+/// Where a photo shows what a pinhole shows: for each row of pixels exactly at some of them, and by cubics in
+/// between, which are off by less than a thousandth of a pixel.
 struct Map<'a> {
     camera: &'a Camera,
     lens: &'a Lens,
@@ -217,7 +232,8 @@ fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
             _ => (0..12).for_each(|at| mixed[at] += weight * f32::from(row[3 * columns[at / 3] + at % 3])),
         }
     }
-    let sum = |channel: usize| (0..4).fold(0.5, |sum, column| sum + across[column] * mixed[3 * column + channel]);
+    let sum =
+        |channel: usize| (0..4).fold(0.5, |sum, column| sum + across[column] * mixed[3 * column + channel]);
     [sum(0) as u8, sum(1) as u8, sum(2) as u8]
 }
 
@@ -237,7 +253,8 @@ mod tests {
 
     fn brown(radial: [f64; 3], tangential: [f64; 2]) -> Lens {
         let [k1, k2, k3] = radial;
-        let polynomial = Polynomial { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential, ..Polynomial::default() };
+        let polynomial =
+            Polynomial { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential, ..Polynomial::default() };
         Lens { polynomial, ..Lens::default() }
     }
 
@@ -288,7 +305,8 @@ mod tests {
     #[test]
     fn the_map_is_exact_to_a_thousandth_of_a_pixel() {
         let fisheye = Lens { projection: Projection::Fisheye, ..Lens::default() };
-        for (lens, side) in [(barrel(), 640), (fisheye, 640), (brown([0.3, 0.0, 0.0], [0.01, 0.0]), 97), (barrel(), 3)]
+        for (lens, side) in
+            [(barrel(), 640), (fisheye, 640), (brown([0.3, 0.0, 0.0], [0.01, 0.0]), 97), (barrel(), 3)]
         {
             let camera = camera().resized(side, side);
             let map = Map::of(&camera, &lens, &camera);
@@ -297,7 +315,10 @@ mod tests {
                 for (column, [u, v]) in (0..).zip(map.row(row)) {
                     let at = [column, row].map(|at: u32| f64::from(at) + 0.5);
                     let exact = source(&camera, &lens, normalised(&camera, at)).map(|at| at - 0.5);
-                    assert!((u - exact[0]).hypot(v - exact[1]) < 1e-3, "{lens:?}: {u}, {v} instead of {exact:?}");
+                    assert!(
+                        (u - exact[0]).hypot(v - exact[1]) < 1e-3,
+                        "{lens:?}: {u}, {v} instead of {exact:?}"
+                    );
                 }
             }
         }

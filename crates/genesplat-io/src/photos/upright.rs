@@ -24,8 +24,8 @@ pub fn turn_of(path: &Path) -> Option<Turn> {
     EncodedPhoto::open(path).ok()?.encoded.tag().map(Turn)
 }
 
-/// The photo at `from`, upright, as `name` in `folder`: a JPEG if it was one, else a PNG with its transparency and its depth. Its EXIF data
-/// come along. Whole or not at all.
+/// The photo at `from`, upright, as `name` in `folder`: a JPEG if it was one, else a PNG with its
+/// transparency and its depth. Its EXIF data come along. Whole or not at all.
 pub fn write_upright(from: &Path, (folder, name): (&Path, &Path)) -> Result<(), PhotoError> {
     let EncodedPhoto { path, encoded } = EncodedPhoto::open(from)?;
     let (format, mut exif) = (encoded.format(), encoded.exif().unwrap_or_default());
@@ -51,8 +51,8 @@ fn encode(mut encoder: impl ImageEncoder, image: &DynamicImage, exif: Vec<u8>) -
     image.write_with_encoder(encoder)
 }
 
-/// The mask at `from` as a PNG of black and white, `name` in `folder`, turned as its photo, whose file has `photo` px. A mask that is
-/// as large as the upright photo stays as it is.
+/// The mask at `from` as a PNG of black and white, `name` in `folder`, turned as its photo, whose file has
+/// `photo` px. A mask that is as large as the upright photo stays as it is.
 pub fn write_mask(
     from: &Path,
     (folder, name): (&Path, &Path),
@@ -63,12 +63,14 @@ pub fn write_mask(
     let [width, height] = mask.size;
     let is_upright = |Turn(tag): &Turn| is_sideways(*tag) && [height, width] == photo && width != height;
     let levels = mask.counts.iter().map(|counts| if *counts { u8::MAX } else { 0 }).collect();
-    let levels = image::GrayImage::from_raw(width, height, levels).expect("a mask has a value for each pixel");
+    let levels =
+        image::GrayImage::from_raw(width, height, levels).expect("a mask has a value for each pixel");
     let mut image = DynamicImage::from(levels);
     turn.filter(|turn| !is_upright(turn)).into_iter().for_each(|Turn(tag)| image.apply_orientation(tag));
     let write = |source| PhotoError::Write { path: folder.join(name), source };
     let mut bytes = Vec::new();
-    encode(PngEncoder::new(&mut bytes), &image, Vec::new()).map_err(|error| write(io::Error::other(error)))?;
+    encode(PngEncoder::new(&mut bytes), &image, Vec::new())
+        .map_err(|error| write(io::Error::other(error)))?;
     own::write(folder, name, |out| out.write_all(&bytes)).map_err(write)
 }
 
@@ -82,7 +84,8 @@ mod tests {
     /// Black but for a white corner, the left upper one.
     fn corner(width: u32, height: u32) -> Photo {
         let is_white = |index| index % width < 8 && index / width < 8;
-        let rgb = (0..width * height).flat_map(|index| [if is_white(index) { u8::MAX } else { 0 }; 3]).collect();
+        let rgb =
+            (0..width * height).flat_map(|index| [if is_white(index) { u8::MAX } else { 0 }; 3]).collect();
         Photo { width, height, rgb }
     }
 
@@ -104,7 +107,9 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let [from, to] = ["a.jpg", TO].map(|name| place.path().join(name));
         let jpeg = encode_jpeg(&corner(32, 16), 95);
-        for (orientation, size, [x, y]) in [(6, (16, 32), [15, 0]), (3, (32, 16), [31, 15]), (8, (16, 32), [0, 31])] {
+        for (orientation, size, [x, y]) in
+            [(6, (16, 32), [15, 0]), (3, (32, 16), [31, 15]), (8, (16, 32), [0, 31])]
+        {
             std::fs::write(&from, tagged(&jpeg, orientation)).unwrap();
             assert!(turn_of(&from).is_some());
             write_upright(&from, (place.path(), Path::new(TO))).unwrap();
@@ -125,7 +130,8 @@ mod tests {
         write_png(&lying, &corner(32, 16)).unwrap();
         write_png(&upright, &corner(16, 32)).unwrap();
         for (from, x) in [(lying, 15), (upright, 0)] {
-            write_mask(&from, (place.path(), Path::new(TO)), [32, 16], Some(Turn(Orientation::Rotate90))).unwrap();
+            write_mask(&from, (place.path(), Path::new(TO)), [32, 16], Some(Turn(Orientation::Rotate90)))
+                .unwrap();
             assert_eq!(photo_size(&to).unwrap(), (16, 32));
             let mask = read_photo(&to).unwrap();
             assert!(is_white(&mask, x, 0) && !is_white(&mask, 15 - x, 0));

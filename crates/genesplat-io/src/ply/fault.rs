@@ -6,7 +6,8 @@ use genesplat_core::Gaussians;
 
 use crate::listing::{COORDINATE_MAX, position_problem};
 
-/// Largest magnitude of any parameter that is believed. The squares of such values, and the sums of many, fit in f32.
+/// Largest magnitude of any parameter that is believed. The squares of such values, and the sums of many, fit
+/// in f32.
 const VALUE_MAX: f32 = COORDINATE_MAX as f32;
 /// The logarithm of that.
 const LOG_SCALE_MAX: f32 = 20.723_266;
@@ -52,8 +53,9 @@ fn beyond(cloud: &Gaussians, row: usize, filter: f32) -> Option<(&'static str, &
         ("colour", is_beyond(&cloud.sh[row])),
         ("filter_3D", is_beyond(&[filter])),
     ];
-    let other =
-        || others.iter().find(|(_, is_beyond)| *is_beyond).map(|(parameter, _)| (*parameter, "lies beyond 1e9"));
+    let other = || {
+        others.iter().find(|(_, is_beyond)| *is_beyond).map(|(parameter, _)| (*parameter, "lies beyond 1e9"))
+    };
     position.or(size).or_else(other)
 }
 

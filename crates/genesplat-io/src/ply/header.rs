@@ -35,13 +35,16 @@ pub struct PlyHeader {
 }
 
 impl PlyHeader {
-    /// Index of the property `name` in a row; where it is missing, `wanted` is what to give instead of the file.
+    /// Index of the property `name` in a row; where it is missing, `wanted` is what to give instead of the
+    /// file.
     pub(super) fn column(&self, name: &str, path: &Path, wanted: &'static str) -> Result<usize, PlyError> {
-        self.properties.iter().position(|property| property.name == name).ok_or_else(|| PlyError::MissingProperty {
-            path: path.to_owned(),
-            what: self.kind(),
-            property: name.into(),
-            wanted,
+        self.properties.iter().position(|property| property.name == name).ok_or_else(|| {
+            PlyError::MissingProperty {
+                path: path.to_owned(),
+                what: self.kind(),
+                property: name.into(),
+                wanted,
+            }
         })
     }
 
@@ -64,7 +67,8 @@ impl PlyHeader {
         Ok(self.properties[self.column(name, path, wanted)?].field)
     }
 
-    /// Fewest bytes of a row: in ASCII a digit and a separator for each value, the last line's end being optional.
+    /// Fewest bytes of a row: in ASCII a digit and a separator for each value, the last line's end being
+    /// optional.
     pub(super) fn least_row_bytes(&self) -> u64 {
         match self.encoding {
             Encoding::Binary => self.row_bytes as u64,
@@ -109,8 +113,9 @@ impl Preamble {
 impl Element {
     /// Where the property `name` lies in a row, and whether it is of the type that headers call `kind`.
     pub(crate) fn offset(&self, name: &str, kind: &str) -> Option<usize> {
-        let is_wanted =
-            |property: &&Property| property.name == name && Scalar::parse(kind) == Some(property.field.scalar);
+        let is_wanted = |property: &&Property| {
+            property.name == name && Scalar::parse(kind) == Some(property.field.scalar)
+        };
         self.properties.iter().find(is_wanted).map(|property| property.field.offset)
     }
 
@@ -184,8 +189,10 @@ fn parse_encoding(format: &str) -> Result<Encoding, String> {
 
 fn element(rest: &str) -> Result<Element, String> {
     let (name, count) = rest.split_once(' ').ok_or("an element has no count")?;
-    let count =
-        count.trim().parse().map_err(|_| format!("element {} has the impossible count {count:?}", shown(name)))?;
+    let count = count
+        .trim()
+        .parse()
+        .map_err(|_| format!("element {} has the impossible count {count:?}", shown(name)))?;
     Ok(Element { name: name.into(), count, properties: Vec::new(), row_bytes: 0, has_list: false })
 }
 
@@ -196,15 +203,19 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
         element.has_list = true;
         return Ok(());
     }
-    let scalar =
-        Scalar::parse(kind).ok_or_else(|| format!("property {} has the unknown type {kind:?}", shown(name)))?;
+    let scalar = Scalar::parse(kind)
+        .ok_or_else(|| format!("property {} has the unknown type {kind:?}", shown(name)))?;
     let field = Field { scalar, offset: element.row_bytes };
     element.properties.push(Property { name: name.trim().into(), field });
     element.row_bytes += scalar.bytes();
     Ok(())
 }
 
-fn assemble(mut elements: Vec<Element>, comments: Vec<String>, encoding: Encoding) -> Result<PlyHeader, String> {
+fn assemble(
+    mut elements: Vec<Element>,
+    comments: Vec<String>,
+    encoding: Encoding,
+) -> Result<PlyHeader, String> {
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
     let before = before(&elements[..at], encoding)?;
     let has_faces = elements.iter().any(|element| element.name == "face");
@@ -246,7 +257,10 @@ fn before(elements: &[Element], encoding: Encoding) -> Result<u64, String> {
 /// Bytes of a row, where all rows have as many.
 fn fixed_length(element: &Element) -> Result<u64, String> {
     if element.has_list {
-        return Err(format!("element {} holds a list, so its rows have no fixed length", shown(&element.name)));
+        return Err(format!(
+            "element {} holds a list, so its rows have no fixed length",
+            shown(&element.name)
+        ));
     }
     Ok(element.row_bytes as u64)
 }
@@ -254,12 +268,14 @@ fn fixed_length(element: &Element) -> Result<u64, String> {
 /// Degree of spherical harmonics with `rest` coefficients beyond the base colour: `3 (degree + 1)² − 3`.
 fn degree(rest: usize) -> Result<u8, String> {
     (0..=3).find(|&degree| 3 * (usize::from(degree) + 1).pow(2) - 3 == rest).ok_or_else(|| {
-        format!("it has {rest} f_rest properties, where spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45")
+        format!(
+            "it has {rest} f_rest properties, where spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45"
+        )
     })
 }
 
-/// The header comment of `filter`, in words that viewers know. They have one for both kinds of compensated opacity, so a
-/// second comment tells the classic dilation from Mip-Splatting's.
+/// The header comment of `filter`, in words that viewers know. They have one for both kinds of compensated
+/// opacity, so a second comment tells the classic dilation from Mip-Splatting's.
 pub(crate) fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
     match filter {
         ScreenFilter::Classic => &["SplatRenderMode: default"],

@@ -1,11 +1,12 @@
 //! Clouds in and out as `.ply`, in the layout of the 3DGS authors (INRIA) that every splat viewer opens.
 //!
 //! One element `vertex`, binary little-endian, all values raw (before activation):
-//! `x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3`, and `filter_3D` last for Mip-Splatting.
-//! `f_rest` is channel-major: 15 coefficients of red, then of green, then of blue.
+//! `x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3`, and `filter_3D` last for
+//! Mip-Splatting. `f_rest` is channel-major: 15 coefficients of red, then of green, then of blue.
 //!
-//! Reading follows the header, not this list: properties may come in any order, of any scalar type, with others
-//! between them, with fewer harmonics (degree 0 to 2), and as ASCII. What is written and read again has the same bits.
+//! Reading follows the header, not this list: properties may come in any order, of any scalar type, with
+//! others between them, with fewer harmonics (degree 0 to 2), and as ASCII. What is written and read again
+//! has the same bits.
 
 mod error;
 mod fault;
@@ -38,8 +39,8 @@ use crate::listing::position_problem;
 /// How a cloud is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlyOptions {
-    /// How a viewer should filter the splats; the header comment `SplatRenderMode` tells it (shared with Brush and
-    /// nerfstudio).
+    /// How a viewer should filter the splats; the header comment `SplatRenderMode` tells it (shared with
+    /// Brush and nerfstudio).
     pub screen_filter: ScreenFilter,
     /// Highest degree of the spherical harmonics that are written, 0 to 3. Other programs expect 3.
     pub sh_degree: u8,
@@ -62,7 +63,11 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
 }
 
 /// The same from the `size` bytes of `reader`; `path` is named in errors.
-pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Result<(PlyHeader, Gaussians), PlyError> {
+pub(crate) fn parse_splat(
+    path: &Path,
+    reader: impl BufRead,
+    size: u64,
+) -> Result<(PlyHeader, Gaussians), PlyError> {
     let (header, mut rest) = parse_header(path, reader, size)?;
     ensure_memory(header.gaussians, path)?;
     let cloud = rows::read(&header, &mut rest, path)?;
@@ -73,11 +78,13 @@ pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Resul
 pub(crate) fn is_compressed(path: &Path) -> Result<bool, PlyError> {
     let file = input::open(path).map_err(|source| read_error(path, source))?;
     let elements = preamble(&mut BufReader::new(file), path)?.elements;
-    let is_packed = |element: &Element| element.name == "vertex" && element.offset("packed_position", "uint").is_some();
+    let is_packed =
+        |element: &Element| element.name == "vertex" && element.offset("packed_position", "uint").is_some();
     Ok(elements.iter().any(is_packed))
 }
 
-/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or overflows where it is used.
+/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or overflows
+/// where it is used.
 pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
     match faults(cloud).next() {
         None => Ok(()),
@@ -139,7 +146,10 @@ fn parse_header<R: BufRead>(path: &Path, mut reader: R, size: u64) -> Result<(Pl
         return Err(PlyError::Rows { path: path.to_owned(), problem });
     }
     // The rows of an ASCII file have any length; what follows them is found where they are read.
-    if header.encoding == Encoding::Binary && header.ends_with_vertices && left > promised * header.least_row_bytes() {
+    if header.encoding == Encoding::Binary
+        && header.ends_with_vertices
+        && left > promised * header.least_row_bytes()
+    {
         return Err(trailing(path, promised));
     }
     Ok((header, reader))

@@ -29,7 +29,8 @@ pub(crate) fn parse_points(path: &Path, reader: impl BufRead, size: u64) -> Resu
     Ok(rows.into_iter().map(|row| point(row, full)).collect())
 }
 
-/// The value that stands for a colour's 255: 1 in files that write colours as fractions, which the format leaves open.
+/// The value that stands for a colour's 255: 1 in files that write colours as fractions, which the format
+/// leaves open.
 fn full_colour(header: &PlyHeader, rows: &[[f32; 6]]) -> f32 {
     let is_float = |name: &&str| {
         header.properties.iter().any(|property| property.name == *name && property.field.scalar.is_float())

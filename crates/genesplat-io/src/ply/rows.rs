@@ -13,15 +13,16 @@ use super::{PlyError, read_error, text};
 
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
 
-/// Logarithm of the thickness of flat Gaussians: 1e-6 world units, as SuperSplat has it. No camera sees that, and one value
-/// for all rows costs compressed formats nothing.
+/// Logarithm of the thickness of flat Gaussians: 1e-6 world units, as SuperSplat has it. No camera sees that,
+/// and one value for all rows costs compressed formats nothing.
 const LOG_THICKNESS: f32 = -13.815_511;
 
 const CHUNK_ROWS: usize = 4096;
 
 /// Names of the properties in the order in which they are written.
 pub(super) fn property_names(sh_degree: u8, filter_3d: bool) -> Vec<String> {
-    let numbered = |stem: &str, count: usize| -> Vec<_> { (0..count).map(|i| format!("{stem}_{i}")).collect() };
+    let numbered =
+        |stem: &str, count: usize| -> Vec<_> { (0..count).map(|i| format!("{stem}_{i}")).collect() };
     let named = |names: &[&str]| -> Vec<_> { names.iter().map(|&name| name.to_owned()).collect() };
     [
         named(&["x", "y", "z", "nx", "ny", "nz"]),
@@ -35,10 +36,16 @@ pub(super) fn property_names(sh_degree: u8, filter_3d: bool) -> Vec<String> {
     .concat()
 }
 
-/// The cloud whose first row is next in `reader`; the caller has checked that the file holds as many as it promises.
-pub(super) fn read(header: &PlyHeader, reader: &mut impl BufRead, path: &Path) -> Result<Gaussians, PlyError> {
+/// The cloud whose first row is next in `reader`; the caller has checked that the file holds as many as it
+/// promises.
+pub(super) fn read(
+    header: &PlyHeader,
+    reader: &mut impl BufRead,
+    path: &Path,
+) -> Result<Gaussians, PlyError> {
     let count = header.gaussians as usize;
-    let zeros = || Gaussians { filter_3d: header.has_filter_3d.then(|| vec![0.0; count]), ..Gaussians::zeros(count) };
+    let zeros =
+        || Gaussians { filter_3d: header.has_filter_3d.then(|| vec![0.0; count]), ..Gaussians::zeros(count) };
     match header.encoding {
         Encoding::Binary => {
             let layout = Layout::of(header, |name| header.field(name, path, SPLAT))?;
@@ -47,7 +54,9 @@ pub(super) fn read(header: &PlyHeader, reader: &mut impl BufRead, path: &Path) -
         Encoding::Ascii => {
             let layout = Layout::of(header, |name| header.column(name, path, SPLAT))?;
             let mut cloud = zeros();
-            text::read(header, reader, path, |row, values| layout.set(row, |column| values[column], &mut cloud))?;
+            text::read(header, reader, path, |row, values| {
+                layout.set(row, |column| values[column], &mut cloud)
+            })?;
             Ok(cloud)
         }
     }
@@ -95,7 +104,12 @@ impl<Place: Copy> Layout<Place> {
 
 impl Layout<Field> {
     /// Fills every row of `cloud`.
-    fn read_binary(&self, row_bytes: usize, reader: &mut impl Read, mut cloud: Gaussians) -> io::Result<Gaussians> {
+    fn read_binary(
+        &self,
+        row_bytes: usize,
+        reader: &mut impl Read,
+        mut cloud: Gaussians,
+    ) -> io::Result<Gaussians> {
         let count = cloud.len();
         let mut chunk = vec![0; CHUNK_ROWS.min(count) * row_bytes];
         for first in (0..count).step_by(CHUNK_ROWS) {
@@ -109,7 +123,8 @@ impl Layout<Field> {
     }
 }
 
-/// Each harmonic's index in a row of [`Gaussians::sh`], with the property that holds it in a file of `degree`.
+/// Each harmonic's index in a row of [`Gaussians::sh`], with the property that holds it in a file of
+/// `degree`.
 fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
     let rest = coefficients(degree) - 1;
     (0..3).flat_map(move |channel| {
@@ -119,12 +134,18 @@ fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
 }
 
 /// Writes some rows of `cloud` in the order of [`property_names`].
-pub(super) fn write(cloud: &Gaussians, rows: Range<usize>, sh_degree: u8, out: &mut impl Write) -> io::Result<()> {
+pub(super) fn write(
+    cloud: &Gaussians,
+    rows: Range<usize>,
+    sh_degree: u8,
+    out: &mut impl Write,
+) -> io::Result<()> {
     const NORMAL: [f32; 3] = [0.0; 3];
     let mut bytes = Vec::new();
     for row in rows {
         let sh = &cloud.sh[row];
-        let rest = (0..3).flat_map(|channel| (1..coefficients(sh_degree)).map(move |k| &sh[sh_index(channel, k)]));
+        let rest =
+            (0..3).flat_map(|channel| (1..coefficients(sh_degree)).map(move |k| &sh[sh_index(channel, k)]));
         let values = (cloud.positions[row].iter())
             .chain(&NORMAL)
             .chain(&sh[..3])

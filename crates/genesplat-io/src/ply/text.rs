@@ -17,7 +17,8 @@ pub(super) fn read(
     let mut values = Vec::with_capacity(header.properties.len());
     for row in 0..header.gaussians as usize {
         let bad = || {
-            let problem = format!("does not hold one number for each property in row {row}; export the file again");
+            let problem =
+                format!("does not hold one number for each property in row {row}; export the file again");
             PlyError::Rows { path: path.to_owned(), problem }
         };
         let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;

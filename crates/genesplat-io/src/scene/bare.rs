@@ -67,6 +67,8 @@ pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
             let what = format!("holds {unread} {}", plural(unread, "picture that is", "pictures that are"));
             Some(SceneError::invalid(path, format!("{what} neither JPEG nor PNG nor WebP; {CONVERT}")))
         }
-        (photos, _) => no_cameras(format!("holds {photos} {} and no cameras", plural(photos, "photo", "photos"))),
+        (photos, _) => {
+            no_cameras(format!("holds {photos} {} and no cameras", plural(photos, "photo", "photos")))
+        }
     }
 }

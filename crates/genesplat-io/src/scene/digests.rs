@@ -1,4 +1,5 @@
-//! What tells a scene apart from what it was: digests of its files and cameras, which hold at every size of its photos.
+//! What tells a scene apart from what it was: digests of its files and cameras, which hold at every size of
+//! its photos.
 
 use genesplat_core::{Camera, View};
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,8 @@ use crate::photos::Lens;
 /// Digests of all that a scene consists of.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SceneDigests {
-    /// Of the photos that are trained on or held out, sorted by name; those that are hidden entirely are among them.
+    /// Of the photos that are trained on or held out, sorted by name; those that are hidden entirely are
+    /// among them.
     pub photos: Vec<PhotoDigests>,
     /// Of the points in the scene's files, in their order; `None` where they were not loaded.
     pub points: Option<Digest>,
@@ -49,8 +51,10 @@ impl PhotoDigests {
     /// Those of a photo without a file, by its pixels.
     fn of_view(view: &View) -> Option<Self> {
         let photo = view.photo.read().ok()?;
-        let mask =
-            view.mask.as_ref().map(|mask| mask.counts.iter().map(|counts| u8::from(*counts)).collect::<Vec<_>>());
+        let mask = view
+            .mask
+            .as_ref()
+            .map(|mask| mask.counts.iter().map(|counts| u8::from(*counts)).collect::<Vec<_>>());
         let mask = mask.map(|mask| Digest::of(&mask));
         Some(Self { mask, ..Self::new(&view.name, Digest::of(&photo.rgb), &view.camera, None) })
     }

@@ -22,8 +22,8 @@ pub struct SceneList {
 }
 
 impl SceneList {
-    /// The name of the view that is called `asked`: by its name or by the end of its path, with or without its ending. Fails where
-    /// none or several of `scene` are.
+    /// The name of the view that is called `asked`: by its name or by the end of its path, with or without
+    /// its ending. Fails where none or several of `scene` are.
     pub fn view_name(&self, asked: &str, scene: &Path) -> Result<&str, SceneError> {
         split::view_name(asked, self.photos.iter().map(|photo| (&*photo.name, &*photo.path)), scene)
     }
@@ -47,7 +47,8 @@ pub struct ScenePhoto {
 }
 
 impl ScenePhoto {
-    /// How far the lens moves what is in a corner, px, at the most; `None` where a pinhole would not show a corner.
+    /// How far the lens moves what is in a corner, px, at the most; `None` where a pinhole would not show a
+    /// corner.
     pub fn bend_px(&self) -> Option<f64> {
         let Some(lens) = self.lens else { return Some(0.0) };
         let Camera { width, height, focal_px: [fx, fy], principal_px: [cx, cy], .. } = self.camera;
@@ -79,7 +80,8 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
     Ok(SceneList { photos, points: listing.points, notices: listing.notices })
 }
 
-/// COLMAP's model of `photos`, by the names of their views, with these points. Each photo has a camera of its own.
+/// COLMAP's model of `photos`, by the names of their views, with these points. Each photo has a camera of its
+/// own.
 pub fn model_of(photos: &[&ScenePhoto], points: Vec<Point>) -> Model {
     let mut model = Model { points, ..Model::default() };
     for (id, photo) in (1u32..).zip(photos) {

@@ -1,5 +1,5 @@
-//! Masks beside the photos of a scene, in `masks` or `mask`: `NAME.jpg.png` as COLMAP names them, `NAME.jpg` or `NAME.png` as
-//! nerfstudio does, `NAME.mask.png` as others.
+//! Masks beside the photos of a scene, in `masks` or `mask`: `NAME.jpg.png` as COLMAP names them, `NAME.jpg`
+//! or `NAME.png` as nerfstudio does, `NAME.mask.png` as others.
 
 use std::path::{Path, PathBuf};
 
@@ -73,19 +73,26 @@ pub(super) fn find(listing: &mut Listing, scene: &Path) {
     if listing.photos.iter().all(|photo| photo.mask.is_none()) {
         let example = listing.photos.first().map_or("", |photo| base_name(&photo.name));
         let (folder, name) = (shown(&folder), shown(example));
-        listing.notices.push(format!("{folder} has no mask of any photo: that of {name} would be called {name}.png"));
+        listing
+            .notices
+            .push(format!("{folder} has no mask of any photo: that of {name} would be called {name}.png"));
     }
 }
 
-/// The mask of a photo in a folder of masks. `name` is that of the photo as its scene lists it: below the folder of photos,
-/// or with that folder before it.
+/// The mask of a photo in a folder of masks. `name` is that of the photo as its scene lists it: below the
+/// folder of photos, or with that folder before it.
 pub fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
     let name = &*names::below(name).ok()?;
     let below = name.split_once('/').map(|(_, below)| below);
     let stem = |name: &str| name.rsplit_once('.').map_or(name.to_owned(), |(stem, _)| stem.to_owned());
     let names = [Some(name), below, Some(base_name(name))].into_iter().flatten();
     let candidates = names.flat_map(|name| {
-        [format!("{name}.png"), name.to_owned(), format!("{}.png", stem(name)), format!("{}.mask.png", stem(name))]
+        [
+            format!("{name}.png"),
+            name.to_owned(),
+            format!("{}.png", stem(name)),
+            format!("{}.mask.png", stem(name)),
+        ]
     });
     candidates.map(|name| folder.join(name)).find(|path| path.is_file())
 }
@@ -105,12 +112,17 @@ mod tests {
             fs::write(folder.join("1.png"), "a mask").unwrap();
         }
         let outside = outside.to_string_lossy();
-        for name in [format!("a/{outside}/2.png"), format!("{outside}/1.png"), "a/../../outside/1.png".into()] {
+        for name in [format!("a/{outside}/2.png"), format!("{outside}/1.png"), "a/../../outside/1.png".into()]
+        {
             assert_eq!(mask_of(&masks, &name), None, "{name}");
         }
         fs::write(place.path().join("outside/2.png"), "another").unwrap();
         assert_eq!(mask_of(&masks, &format!("a/{outside}/2.png")), None);
-        assert_eq!(mask_of(&masks, &format!("a/{outside}/1.png")), Some(masks.join("1.png")), "by its last part");
+        assert_eq!(
+            mask_of(&masks, &format!("a/{outside}/1.png")),
+            Some(masks.join("1.png")),
+            "by its last part"
+        );
         assert_eq!(mask_of(&masks, ".//images//1.jpg"), Some(masks.join("1.png")));
     }
 }

@@ -66,8 +66,9 @@ pub struct Scene {
 pub struct LoadOptions {
     /// Size of the photos.
     pub size: PhotoSize,
-    /// Both sides of that size are divided by this and rounded as [`PhotoSize::Downscale`] does, in one reduction with
-    /// it: a splat can be compared at a fraction of the size that it was trained at. 1 leaves the size alone.
+    /// Both sides of that size are divided by this and rounded as [`PhotoSize::Downscale`] does, in one
+    /// reduction with it: a splat can be compared at a fraction of the size that it was trained at. 1 leaves
+    /// the size alone.
     pub divisor: u32,
     /// Which photos are held out.
     pub hold_out: HoldOut,
@@ -75,9 +76,11 @@ pub struct LoadOptions {
     pub background: [u8; 3],
     /// What masks and transparency mean.
     pub mask: MaskUse,
-    /// Near plane of all cameras, world units; `None` for the usual one, or a nearer one in a scene that is small.
+    /// Near plane of all cameras, world units; `None` for the usual one, or a nearer one in a scene that is
+    /// small.
     pub near: Option<f64>,
-    /// Folder of a COLMAP scene's photos, absolute or relative to the scene: some data sets ship `images_2`, `images_4`, ...
+    /// Folder of a COLMAP scene's photos, absolute or relative to the scene: some data sets ship `images_2`,
+    /// `images_4`, ...
     pub image_folder: PathBuf,
     /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
     pub with_points: bool,
@@ -87,7 +90,8 @@ pub struct LoadOptions {
     pub spill: Option<Spill>,
 }
 
-/// Photos are kept in a file, and read from it whenever they are looked at, if there are more than memory should hold.
+/// Photos are kept in a file, and read from it whenever they are looked at, if there are more than memory
+/// should hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spill {
     /// Folder of the file, which has no name and is gone after the last photo.
@@ -134,14 +138,21 @@ impl LoadProgress for () {
     fn photo_done(&self) {}
 }
 
-/// Least number of points that training starts from: initial scales are distances to the three nearest others.
+/// Least number of points that training starts from: initial scales are distances to the three nearest
+/// others.
 const POINTS_MIN: usize = 4;
 
-/// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of `transforms_*.json`, or the
-/// `transforms.json` of nerfstudio and instant-ngp; the first of these that is there.
+/// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of
+/// `transforms_*.json`, or the `transforms.json` of nerfstudio and instant-ngp; the first of these that is
+/// there.
 ///
-/// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of threads.
-pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgress) -> Result<Scene, SceneError> {
+/// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of
+/// threads.
+pub fn load_scene(
+    path: &Path,
+    options: &LoadOptions,
+    progress: &dyn LoadProgress,
+) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
     let files = |photo: &ListedPhoto| std::iter::once(photo.path.clone()).chain(photo.mask.clone());
     let photos = listing.photos.iter().flat_map(files).collect();
@@ -168,7 +179,8 @@ pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgres
     Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, digests, notices })
 }
 
-/// The views of training and test photos; those of which nothing counts are left out. And the digests of all of them.
+/// The views of training and test photos; those of which nothing counts are left out. And the digests of all
+/// of them.
 fn load_views(
     photos: [&[ListedPhoto]; 2],
     options: &LoadOptions,
@@ -218,7 +230,8 @@ fn digests_of(listed: &ListedPhoto) -> Result<PhotoDigests, SceneError> {
     Ok(PhotoDigests::of(listed, digest(&listed.path)?, mask))
 }
 
-/// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.
+/// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the
+/// seed.
 pub fn load_points(path: &Path, options: &LoadOptions) -> Result<Vec<Point>, SceneError> {
     Ok(list(path, options)?.points)
 }
@@ -230,7 +243,12 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     match list_known(path, options) {
         Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
             // What is not to be read looks as if it were not there.
-            check_readable([path, &path.join("sparse"), &path.join("sparse/0"), &path.join(&options.image_folder)])?;
+            check_readable([
+                path,
+                &path.join("sparse"),
+                &path.join("sparse/0"),
+                &path.join(&options.image_folder),
+            ])?;
             let Some(scene) = place::of(path).filter(|scene| scene != path) else {
                 let known = [bare::run, bare::other_cameras, bare::without_cameras, bare::file];
                 let is_unknown = matches!(error, SceneError::Unrecognised(_));
@@ -260,8 +278,8 @@ fn check_readable(folders: [&Path; 4]) -> Result<(), SceneError> {
     })
 }
 
-/// `listing` with the names of its views, and points to start from. Too few points are an error here already: training
-/// would find it out only after the photos are decoded.
+/// `listing` with the names of its views, and points to start from. Too few points are an error here already:
+/// training would find it out only after the photos are decoded.
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene);
     listing.notices.extend(precision::check(&listing)?);

@@ -28,7 +28,8 @@ fn above(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).take(LEVELS).filter(is_part).find(|scene| is_scene(scene)).map(Path::to_owned)
 }
 
-/// An archive may hold a folder that holds the scene, or some, one in the other; COLMAP's workspace has one in `dense/0`.
+/// An archive may hold a folder that holds the scene, or some, one in the other; COLMAP's workspace has one
+/// in `dense/0`.
 fn below(path: &Path) -> Option<PathBuf> {
     let (mut level, mut visited) = (vec![path.to_owned()], Visited::default());
     visited.is_new(path);

@@ -1,5 +1,5 @@
-//! Scenes far from their origin, as reconstructions in geographic coordinates are: single precision, in which splats are
-//! trained and stored, has steps there that are not small beside the scene.
+//! Scenes far from their origin, as reconstructions in geographic coordinates are: single precision, in which
+//! splats are trained and stored, has steps there that are not small beside the scene.
 
 use genesplat_core::camera::mean_and_radius;
 use glam::DVec3;
@@ -11,16 +11,18 @@ use crate::listing::Listing;
 pub(crate) const CENTRE: &str = "centre the reconstruction: move cameras and points by the same vector, for instance by \
                                  `colmap model_transformer`";
 
-/// Steps of single precision where the cameras are, as a part of the cameras' radius: beyond the first the user is told,
-/// and beyond the second the scene is refused. Where the radius spans a thousand pixels of a photo, they are a hundredth of a
-/// pixel and a pixel.
+/// Steps of single precision where the cameras are, as a part of the cameras' radius: beyond the first the
+/// user is told, and beyond the second the scene is refused. Where the radius spans a thousand pixels of a
+/// photo, they are a hundredth of a pixel and a pixel.
 const TOLD: f64 = 1e-5;
 const REFUSED: f64 = 1e-3;
 
-/// Of the largest coordinate, so much is rounding even in double precision: cameras no farther apart are in one place.
+/// Of the largest coordinate, so much is rounding even in double precision: cameras no farther apart are in
+/// one place.
 const ONE_PLACE: f64 = 1e-12;
 
-/// What the user should know of the cameras' distance from the origin, if anything; an error where it is far too large.
+/// What the user should know of the cameras' distance from the origin, if anything; an error where it is far
+/// too large.
 pub(super) fn check(listing: &Listing) -> Result<Option<String>, SceneError> {
     let centres: Vec<DVec3> = listing.photos.iter().map(|photo| photo.camera.centre_in_world()).collect();
     let (distance, radius) = reach(&centres);
@@ -42,8 +44,8 @@ fn reach(centres: &[DVec3]) -> (f64, f64) {
     (distance, mean_and_radius(centres).1)
 }
 
-/// The step of single precision at a coordinate, as a part of `radius`; `None` where cameras in one place say nothing of
-/// the scene's size.
+/// The step of single precision at a coordinate, as a part of `radius`; `None` where cameras in one place say
+/// nothing of the scene's size.
 fn relative_step(distance: f64, radius: f64) -> Option<f64> {
     (radius > ONE_PLACE * distance).then(|| distance * f64::from(f32::EPSILON) / radius)
 }

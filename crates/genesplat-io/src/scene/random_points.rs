@@ -22,9 +22,11 @@ impl Cube {
     /// What Blender scenes fill (3DGS).
     pub(crate) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: 1.3 };
 
-    /// The cube around what `cameras` look at: the point nearest to all optical axes, as far as the middle camera is.
+    /// The cube around what `cameras` look at: the point nearest to all optical axes, as far as the middle
+    /// camera is.
     ///
-    /// Cameras that look in parallel have no such point; a weak pull towards the space before them decides then.
+    /// Cameras that look in parallel have no such point; a weak pull towards the space before them decides
+    /// then.
     pub(crate) fn seen_by(cameras: &[Camera]) -> Self {
         const PULL: f64 = 1e-2;
         let count = cameras.len() as f64;
@@ -92,15 +94,16 @@ mod tests {
             assert!((mean(a, b) / (1.3 * 1.3 / 3.0)).abs() < 0.02, "axes {a} and {b} are not independent");
         }
         let mut octants = [0; 8];
-        points
-            .iter()
-            .for_each(|point| octants[(0..3).map(|k| usize::from(point.position[k] > 0.0) << k).sum::<usize>()] += 1);
+        points.iter().for_each(|point| {
+            octants[(0..3).map(|k| usize::from(point.position[k] > 0.0) << k).sum::<usize>()] += 1
+        });
         assert!(octants.iter().all(|count| (11_500..=13_500).contains(count)), "{octants:?}");
     }
 
     #[test]
     fn parallel_cameras_get_the_space_before_them() {
-        let cameras: Vec<Camera> = (0..5).map(|i| camera(DVec3::new(f64::from(i), 0.0, 0.0), DVec3::Y)).collect();
+        let cameras: Vec<Camera> =
+            (0..5).map(|i| camera(DVec3::new(f64::from(i), 0.0, 0.0), DVec3::Y)).collect();
         let cube = Cube::seen_by(&cameras);
         assert!(cube.centre.y > 0.5 && cube.centre.is_finite(), "{}", cube.centre);
         assert!((cube.centre.x - 2.0).abs() < 1e-6);

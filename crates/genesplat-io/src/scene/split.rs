@@ -17,13 +17,14 @@ const USUAL_INTERVAL: usize = 8;
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HoldOut {
-    /// Sorted by name, every eighth, from the first on: the field's convention. A scene that names its own test
-    /// photos (Blender, nerfstudio file lists) keeps those instead.
+    /// Sorted by name, every eighth, from the first on: the field's convention. A scene that names its own
+    /// test photos (Blender, nerfstudio file lists) keeps those instead.
     #[default]
     EveryEighth,
     /// The same with another interval, at least 2, whatever the scene itself names.
     Every(NonZeroU32),
-    /// These and no others: by the name of their view, with or without its ending, or by the end of their path.
+    /// These and no others: by the name of their view, with or without its ending, or by the end of their
+    /// path.
     Photos(Vec<String>),
     /// None: everything is trained on, but for what a scene's lists leave out.
     None,
@@ -35,8 +36,8 @@ impl HoldOut {
         self.part(views, |view| &view.name)
     }
 
-    /// The reference's order: by the file name up to its first dot (the whole name breaks ties). Every so many-th is for
-    /// testing, from the first on.
+    /// The reference's order: by the file name up to its first dot (the whole name breaks ties). Every so
+    /// many-th is for testing, from the first on.
     fn part<T>(&self, mut items: Vec<T>, name: impl Fn(&T) -> &str) -> (Vec<T>, Vec<T>) {
         items.sort_by(|a, b| {
             let (a, b) = (name(a), name(b));
@@ -79,8 +80,8 @@ pub(super) fn split(
     Ok(hold_out.part(used, |photo| &photo.name))
 }
 
-/// The name of the one view that is called `asked`, of the views and their files in `photos`: by its name or by the end of
-/// its path, with or without its ending.
+/// The name of the one view that is called `asked`, of the views and their files in `photos`: by its name or
+/// by the end of its path, with or without its ending.
 pub(super) fn view_name<'a>(
     asked: &str,
     mut photos: impl Iterator<Item = (&'a str, &'a Path)> + Clone,

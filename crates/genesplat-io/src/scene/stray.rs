@@ -6,8 +6,8 @@ use glam::DVec3;
 use crate::listing::Listing;
 use crate::{plural, shown};
 
-/// A camera is told of where it is so many times as far from the middle as half of the cameras are: on fox one camera in fifty
-/// costs nothing at 80 times, 0.5 dB at 250 and 17 dB at 8,000.
+/// A camera is told of where it is so many times as far from the middle as half of the cameras are: on fox
+/// one camera in fifty costs nothing at 80 times, 0.5 dB at 250 and 17 dB at 8,000.
 const FAR: f64 = 50.0;
 
 /// What the user should know of such cameras, if there are any.

@@ -69,7 +69,8 @@ impl<'a> Keeper<'a> {
         if photos.map(bytes).sum::<u64>() <= spill.memory_bytes {
             return Ok(Self(None));
         }
-        let file = PhotoFile::create_in(&spill.folder).map_err(|source| cannot_keep(&spill.folder, source))?;
+        let file =
+            PhotoFile::create_in(&spill.folder).map_err(|source| cannot_keep(&spill.folder, source))?;
         Ok(Self(Some((file, &spill.folder))))
     }
 
@@ -141,7 +142,8 @@ impl<'a> Frame<'a> {
     ) -> Result<Self, SceneError> {
         let camera = camera_of_photo(listed, width, height)?;
         let lens = listed.lens.as_ref();
-        let pinhole = lens.map_or(Some(camera), |lens| pinholes.of(&camera, lens)).ok_or_else(|| no_pinhole(listed))?;
+        let pinhole =
+            lens.map_or(Some(camera), |lens| pinholes.of(&camera, lens)).ok_or_else(|| no_pinhole(listed))?;
         let (width, height) = options.size_of(pinhole.width, pinhole.height);
         if width.min(height) < SIDE_MIN_PX {
             let problem = format!(
@@ -180,7 +182,8 @@ fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse)
     }
 }
 
-/// The mask in `file`, at the size of its photo, and the digest of the file. Scenes that ship reduced photos may have masks of the original ones.
+/// The mask in `file`, at the size of its photo, and the digest of the file. Scenes that ship reduced photos
+/// may have masks of the original ones.
 fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<(PhotoMask, Digest), SceneError> {
     let encoded = EncodedPhoto::open(file)?;
     let digest = encoded.digest();
@@ -192,10 +195,14 @@ fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<(PhotoMask, Digest), Sce
     if is_same_shape(mask.size(), of_photo) {
         return Ok((mask.resized(of_photo), digest));
     }
-    let advice =
-        if is_same_shape([height, width], of_photo) { "turn it as its photo" } else { "make it as large as its photo" };
-    let problem =
-        format!("is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; {advice}");
+    let advice = if is_same_shape([height, width], of_photo) {
+        "turn it as its photo"
+    } else {
+        "make it as large as its photo"
+    };
+    let problem = format!(
+        "is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; {advice}"
+    );
     Err(SceneError::BadPhoto { photo: file.to_owned(), problem })
 }
 
@@ -209,8 +216,8 @@ fn no_pinhole(listed: &ListedPhoto) -> SceneError {
 
 /// The listed camera at the photo's own size.
 ///
-/// Published scenes calibrate on larger photos than they ship (Tanks and Temples: twice), rounded to whole pixels. So
-/// a camera of the same shape is scaled, and a camera of another shape is an error.
+/// Published scenes calibrate on larger photos than they ship (Tanks and Temples: twice), rounded to whole
+/// pixels. So a camera of the same shape is scaled, and a camera of another shape is an error.
 fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Camera, SceneError> {
     let camera = &listed.camera;
     if !is_same_shape([camera.width, camera.height], [width, height]) {

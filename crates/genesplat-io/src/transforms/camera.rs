@@ -1,4 +1,5 @@
-//! Cameras of a `transforms.json`: intrinsics, distortion, and poses turned from OpenGL's camera axes to ours.
+//! Cameras of a `transforms.json`: intrinsics, distortion, and poses turned from OpenGL's camera axes to
+//! ours.
 
 use std::path::Path;
 
@@ -34,7 +35,8 @@ pub(super) fn camera(
     let fx = fx.ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
     let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height)).unwrap_or(fx);
     let principal_px = [intrinsics.cx.unwrap_or(0.5 * width), intrinsics.cy.unwrap_or(0.5 * height)];
-    let coefficients = [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4, intrinsics.p1, intrinsics.p2];
+    let coefficients =
+        [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4, intrinsics.p1, intrinsics.p2];
     let coefficients = coefficients.map(|coefficient| coefficient.unwrap_or(0.0));
     let problem = intrinsics_problem([width, height], [fx, fy], principal_px);
     if let Some(problem) = problem.or_else(|| coefficients_problem(&coefficients)) {
@@ -54,8 +56,8 @@ pub(super) fn camera(
 
 /// COLMAP's names of the models whose coefficients a `transforms.json` can hold.
 ///
-/// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4, and which
-/// nerfstudio's k4 is not.
+/// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4, and
+/// which nerfstudio's k4 is not.
 pub(crate) const KNOWN_MODELS: [&str; 8] = [
     "PINHOLE",
     "SIMPLE_PINHOLE",
@@ -111,7 +113,8 @@ fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
         return Err(bad("is not a rotation"));
     }
     // OpenGL's camera looks along −z with y up; ours along z with y down.
-    let world_from_camera = DMat3::from_cols(world_from_gl.x_axis, -world_from_gl.y_axis, -world_from_gl.z_axis);
+    let world_from_camera =
+        DMat3::from_cols(world_from_gl.x_axis, -world_from_gl.y_axis, -world_from_gl.z_axis);
     let rotation = DQuat::from_mat3(&world_from_camera.transpose()).normalize();
     Ok((rotation, -(rotation * centre)))
 }

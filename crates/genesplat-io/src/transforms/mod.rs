@@ -1,7 +1,7 @@
 //! Scenes described by `transforms.json`: nerfstudio's and instant-ngp's, and Blender's pair of files.
 //!
-//! Poses are `world_from_camera` in OpenGL's camera axes (y up, z backwards). They are used as they are: no re-centring,
-//! no scaling.
+//! Poses are `world_from_camera` in OpenGL's camera axes (y up, z backwards). They are used as they are: no
+//! re-centring, no scaling.
 
 mod camera;
 mod nested;
@@ -17,8 +17,8 @@ pub(crate) use self::camera::KNOWN_MODELS;
 use self::splits::Splits;
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, path_inside, separate,
-    similar_notice,
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, path_inside,
+    separate, similar_notice,
 };
 use crate::scene::Cube;
 use crate::similar::Similar;
@@ -93,11 +93,20 @@ impl Found {
         let beside = BESIDE.map(|name| folder.join(name)).into_iter().find(|file| file.is_file());
         if let (true, Some(file)) = (with_points && points.is_empty(), beside) {
             points = ply::read_points(&file)?;
-            self.notices
-                .push(format!("training starts from the points of {}, which the scene does not name", shown(&file)));
+            self.notices.push(format!(
+                "training starts from the points of {}, which the scene does not name",
+                shown(&file)
+            ));
             points_file = file;
         }
-        Ok(Listing { photos: self.photos, points, points_digest: None, points_file, cube: None, notices: self.notices })
+        Ok(Listing {
+            photos: self.photos,
+            points,
+            points_digest: None,
+            points_file,
+            cube: None,
+            notices: self.notices,
+        })
     }
 }
 
@@ -116,7 +125,8 @@ fn notices(photos: &[ListedPhoto], missing: &[PathBuf], similar: Similar, list: 
 }
 
 fn points_outside(list: &Path, name: &str) -> SceneError {
-    let problem = "which is not a path inside the scene's folder; correct it, or remove it to start from random points";
+    let problem =
+        "which is not a path inside the scene's folder; correct it, or remove it to start from random points";
     SceneError::invalid(list, format!("has the ply_file_path {name:?}, {problem}"))
 }
 
@@ -148,8 +158,8 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
     Ok(Found { list: list.to_owned(), photos, missing, points: file.ply_file_path.clone(), notices })
 }
 
-/// The cameras that the `text` of `list` describes, all of whose rules they have met; photos are looked at only where
-/// it does not say their size.
+/// The cameras that the `text` of `list` describes, all of whose rules they have met; photos are looked at
+/// only where it does not say their size.
 pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, SceneError> {
     let file = schema::parse(list, text)?;
     let splits = Splits::of(&file, list)?;
@@ -161,8 +171,8 @@ pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, Sce
     entries.collect()
 }
 
-/// The name of a photo that has come from another machine, as it is here: an absolute path, or one out of the folder, becomes
-/// that of the photo of this name in `images`, if it is there.
+/// The name of a photo that has come from another machine, as it is here: an absolute path, or one out of the
+/// folder, becomes that of the photo of this name in `images`, if it is there.
 fn settle(name: &mut String, folder: &Path) {
     separate(name, folder);
     let is_of_windows = name.as_bytes().get(1) == Some(&b':');
@@ -182,7 +192,12 @@ fn find_mask(folder: &Path, name: &str, list: &Path) -> Result<PathBuf, SceneErr
 }
 
 /// The photo as it is named, or with the extension that Blender's script leaves out; or almost so.
-fn find_photo(folder: &Path, relative: &Path, name: &str, similar: &mut Similar) -> Option<(String, PathBuf)> {
+fn find_photo(
+    folder: &Path,
+    relative: &Path,
+    name: &str,
+    similar: &mut Similar,
+) -> Option<(String, PathBuf)> {
     let whole = folder.join(relative);
     let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&whole, end)));
     let exact = candidates.into_iter().find(|(_, path)| path.is_file());

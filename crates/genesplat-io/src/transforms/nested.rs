@@ -15,18 +15,22 @@ const CAMERAS_MIN: usize = 3;
 /// Most that cameras may be off after the move, as a part of how far they are apart.
 const RESIDUAL_MAX: f64 = 0.01;
 
-/// The points of the model in `scene/colmap`, where those of its cameras that `photos` have lie as they do there. `None` where
-/// there is no such model, or the cameras are others.
+/// The points of the model in `scene/colmap`, where those of its cameras that `photos` have lie as they do
+/// there. `None` where there is no such model, or the cameras are others.
 pub(super) fn points(scene: &Path, photos: &[ListedPhoto]) -> Option<Vec<Point>> {
     let model = read_model(&find_nested_model(scene)?).ok()?;
-    let cameras: HashMap<&str, &Camera> = photos.iter().map(|photo| (base_name(&photo.name), &photo.camera)).collect();
-    let pair =
-        |image: &ImageRecord| Some((Pose::of_image(image), Pose::of_camera(cameras.get(base_name(&image.name))?)));
+    let cameras: HashMap<&str, &Camera> =
+        photos.iter().map(|photo| (base_name(&photo.name), &photo.camera)).collect();
+    let pair = |image: &ImageRecord| {
+        Some((Pose::of_image(image), Pose::of_camera(cameras.get(base_name(&image.name))?)))
+    };
     let pairs: Vec<(Pose, Pose)> = model.images.iter().filter_map(pair).collect();
     let similarity = Similarity::between(&pairs)?;
     let moved = |point: Point| {
         let position = similarity.of(DVec3::from(point.position.map(f64::from)));
-        position_problem(position.into()).is_none().then(|| Point { position: position.as_vec3().into(), ..point })
+        position_problem(position.into())
+            .is_none()
+            .then(|| Point { position: position.as_vec3().into(), ..point })
     };
     model.points.into_iter().map(moved).collect()
 }
@@ -44,7 +48,10 @@ impl Pose {
     }
 
     fn of_camera(camera: &Camera) -> Self {
-        Self { centre: camera.centre_in_world(), world_from_camera: camera.camera_from_world_rotation.inverse() }
+        Self {
+            centre: camera.centre_in_world(),
+            world_from_camera: camera.camera_from_world_rotation.inverse(),
+        }
     }
 }
 
@@ -84,6 +91,7 @@ fn rotation(pairs: &[(Pose, Pose)]) -> Option<DQuat> {
     let turn = |(a, b): &(Pose, Pose)| b.world_from_camera * a.world_from_camera.inverse();
     let first = turn(pairs.first()?);
     // A rotation has two quaternions.
-    let sum = pairs.iter().map(turn).map(|q| if q.dot(first) < 0.0 { -q } else { q }).fold(first, |sum, q| sum + q);
+    let sum =
+        pairs.iter().map(turn).map(|q| if q.dot(first) < 0.0 { -q } else { q }).fold(first, |sum, q| sum + q);
     (sum.length() > 0.0).then(|| sum.normalize())
 }

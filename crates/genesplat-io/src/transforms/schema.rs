@@ -1,4 +1,5 @@
-//! The JSON of `transforms*.json`: one schema for Blender, instant-ngp and nerfstudio, which grew from each other.
+//! The JSON of `transforms*.json`: one schema for Blender, instant-ngp and nerfstudio, which grew from each
+//! other.
 
 use std::path::Path;
 
@@ -74,8 +75,8 @@ pub(super) struct OptionalIntrinsics {
 }
 
 impl OptionalIntrinsics {
-    /// This photo's values, completed by the file's. A focal length and a field of view say the same: where the photo
-    /// has either, the file's other is not taken.
+    /// This photo's values, completed by the file's. A focal length and a field of view say the same: where
+    /// the photo has either, the file's other is not taken.
     pub(super) fn or(&self, file: &Self) -> Self {
         let has_x = self.fl_x.or(self.camera_angle_x).is_some();
         let has_y = self.fl_y.or(self.camera_angle_y).is_some();

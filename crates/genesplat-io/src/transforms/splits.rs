@@ -2,7 +2,8 @@
 //!
 //! - `test_filenames` are tested on, or `val_filenames` where there are none.
 //! - `train_filenames`, where there are any, are trained on, and nothing else is.
-//! - A photo in no list is left out where there are lists of both kinds; beside a list of one kind, it is of the other.
+//! - A photo in no list is left out where there are lists of both kinds; beside a list of one kind, it is of
+//!   the other.
 //! - An empty list says nothing.
 
 use std::collections::HashSet;
@@ -64,9 +65,14 @@ impl Splits {
     }
 }
 
-/// The names of a list, each of which must be a photo's: because of a typo, a photo that was to be held out would be
-/// trained on.
-fn known(names: &Option<Vec<String>>, frames: &Names, key: &'static str, list: &Path) -> Result<Names, SceneError> {
+/// The names of a list, each of which must be a photo's: because of a typo, a photo that was to be held out
+/// would be trained on.
+fn known(
+    names: &Option<Vec<String>>,
+    frames: &Names,
+    key: &'static str,
+    list: &Path,
+) -> Result<Names, SceneError> {
     let name = |name: &String| {
         let remedy = "but none of its frames has that file_path; correct one of them";
         let unknown = || SceneError::invalid(list, format!("has {} in its {key}, {remedy}", shown(name)));

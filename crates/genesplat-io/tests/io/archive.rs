@@ -149,5 +149,8 @@ fn pictures_of_other_formats_are_counted() {
     assert_eq!((result, files), (Ok(expected), vec!["2.jpg: two".into()]));
     let (result, files) = unpacked(&zip(&[("1.heic", b"x")]));
     let sentence = result.unwrap_err();
-    assert!(sentence.contains("others are not read (1.heic); convert them") && files.is_empty(), "{sentence}");
+    assert!(
+        sentence.contains("others are not read (1.heic); convert them") && files.is_empty(),
+        "{sentence}"
+    );
 }

@@ -53,7 +53,10 @@ fn text_as_colmap_writes_it_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     write("cameras.txt", "# a comment\n\n1 SIMPLE_PINHOLE 640 480 500.5 320 240\n2 PINHOLE 64 48 5 6 3 2\n");
-    write("images.txt", "# a\n1 1 0 0 0 0 0 1.5 1 with space.jpg\n10.5 3 -1 7 8 2\n2 0 1 0 0 1 2 3 2 b.jpg\n\n");
+    write(
+        "images.txt",
+        "# a\n1 1 0 0 0 0 0 1.5 1 with space.jpg\n10.5 3 -1 7 8 2\n2 0 1 0 0 1 2 3 2 b.jpg\n\n",
+    );
     write("points3D.txt", "63 1.5 -2 3e-1 255 0 7 0.8 1 2 2 4\n5 0 0 0 1 2 3 0.1\n");
     let model = read_model(&ModelFolder { path: folder.path().into(), form: Form::Text }).unwrap();
     assert_eq!(model.cameras[&1].focal_px, [500.5, 500.5]);
@@ -63,7 +66,8 @@ fn text_as_colmap_writes_it_is_read() {
     assert_eq!((model.points[0].position, model.points[0].rgb), ([1.5, -2.0, 0.3], [255, 0, 7]));
 }
 
-/// Somebody's script has removed the empty lines: a photo that stands where features should is not passed over.
+/// Somebody's script has removed the empty lines: a photo that stands where features should is not passed
+/// over.
 #[test]
 fn a_photo_in_the_place_of_features_is_named_by_its_line() {
     let poses = ["1 1 0 0 0 0 0 3 7 a b/000.png", "2 1 0 0 0 0 0 4 7 a b/001.png"];
@@ -179,7 +183,10 @@ fn two_cameras_of_one_id_are_refused_in_both_forms() {
         bytes[0] = 2;
     });
     for sentence in [text, binary] {
-        assert!(sentence.contains("cameras.") && sentence.contains("two cameras with the ID 7"), "{sentence}");
+        assert!(
+            sentence.contains("cameras.") && sentence.contains("two cameras with the ID 7"),
+            "{sentence}"
+        );
     }
 }
 
@@ -351,7 +358,8 @@ fn photos_that_cannot_be_used_are_named() {
 
 #[test]
 fn names_that_leave_the_image_folder_are_refused() {
-    for name in ["../secret.png", "/etc/hostname", "a/../../b.png", "", "a\\..\\..\\b.png", "a/..", ".", "./"] {
+    for name in ["../secret.png", "/etc/hostname", "a/../../b.png", "", "a\\..\\..\\b.png", "a/..", ".", "./"]
+    {
         let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
             let mut model = tiny_model(2);
             model.images[0].name = name.into();
@@ -394,7 +402,8 @@ fn moved(mut model: Model, by: DVec3) -> Model {
     model
 }
 
-/// In metres of a map, single precision has steps of half a metre: training was worse by decibels, without a word.
+/// In metres of a map, single precision has steps of half a metre: training was worse by decibels, without a
+/// word.
 #[test]
 fn a_scene_far_from_its_origin_is_told_or_refused() {
     let load = |model: &Model, hold_out: HoldOut| {
@@ -412,7 +421,9 @@ fn a_scene_far_from_its_origin_is_told_or_refused() {
     assert!(matches!(error, SceneError::FarFromOrigin { .. }), "{error}");
     let sentence = error.to_string();
     assert!(
-        sentence.contains("images.bin") && sentence.contains("up to 540000") && sentence.contains("same vector"),
+        sentence.contains("images.bin")
+            && sentence.contains("up to 540000")
+            && sentence.contains("same vector"),
         "{sentence}"
     );
     // One camera has no radius.
@@ -444,7 +455,8 @@ fn points_are_not_read_where_none_are_wanted() {
     let folder = tempfile::tempdir().unwrap();
     write_scene(folder.path(), Form::Binary, &tiny_model(2));
     fs::write(file_of(folder.path(), Form::Binary, "points3D"), b"torn").unwrap();
-    let load = |with_points| load_scene(folder.path(), &LoadOptions { with_points, ..LoadOptions::default() }, &());
+    let load =
+        |with_points| load_scene(folder.path(), &LoadOptions { with_points, ..LoadOptions::default() }, &());
     let scene = load(false).unwrap();
     assert_eq!((scene.train.len(), scene.points.len()), (1, 0));
     assert!(load(true).is_err());
@@ -521,11 +533,16 @@ fn photos_and_videos_without_cameras_name_the_command_that_finds_them() {
     let video = folder.path().join("film.MOV");
     fs::write(&video, "a film").unwrap();
     let quoted = format!("'{}'", photos.display());
-    let cases =
-        [(&photos, quoted, "holds 2 photos and no cameras"), (&video, video.display().to_string(), "is a video")];
+    let cases = [
+        (&photos, quoted, "holds 2 photos and no cameras"),
+        (&video, video.display().to_string(), "is a video"),
+    ];
     for (path, word, what) in cases {
         let sentence = load_scene(path, &LoadOptions::default(), &()).unwrap_err().to_string();
         let command = format!("`genesplat poses {word} --out SCENE`");
-        assert!(sentence.contains(what) && sentence.contains(&command) && sentence.contains("--poses"), "{sentence}");
+        assert!(
+            sentence.contains(what) && sentence.contains(&command) && sentence.contains("--poses"),
+            "{sentence}"
+        );
     }
 }

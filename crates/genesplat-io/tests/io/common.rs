@@ -26,7 +26,8 @@ pub(crate) fn tiny_model(photos: usize) -> Model {
         rotation: [1.0, 0.1 * index as f64, -0.2, 0.3],
         translation: [0.5, 1.0 / 3.0, 2.0 + index as f64],
     };
-    let point = |index: usize| Point { position: [index as f32 / 7.0, -0.25, 1e-3], rgb: [index as u8, 255, 3] };
+    let point =
+        |index: usize| Point { position: [index as f32 / 7.0, -0.25, 1e-3], rgb: [index as u8, 255, 3] };
     Model {
         cameras: [(7, intrinsics)].into(),
         images: (0..photos).map(image).collect(),

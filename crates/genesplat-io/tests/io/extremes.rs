@@ -1,4 +1,5 @@
-//! Numbers that overflow only when they are used are refused as NaN is, and what is written of all others is read.
+//! Numbers that overflow only when they are used are refused as NaN is, and what is written of all others is
+//! read.
 
 use std::fs;
 use std::path::Path;
@@ -76,7 +77,8 @@ const VALUES: [f32; 20] = [
 
 /// All of them, and both versions of one.
 fn written(cloud: &Gaussians) -> impl Iterator<Item = (Format, Result<Vec<u8>, String>)> {
-    let versions = [SpzVersion::V3, SpzVersion::V4].map(|spz_version| Options { spz_version, ..Options::default() });
+    let versions =
+        [SpzVersion::V3, SpzVersion::V4].map(|spz_version| Options { spz_version, ..Options::default() });
     let kinds = Format::ALL.into_iter().flat_map(move |format| versions.map(|options| (format, options)));
     kinds.map(|(format, options)| {
         let mut cloud = cloud.clone();
@@ -106,7 +108,8 @@ fn a_value_that_can_be_used_is_written_and_read_and_any_other_is_refused() {
         assert_eq!(rows, if parameter.can_be(value) { 4 } else { 3 }, "{parameter:?} {value}");
         for (format, bytes) in written(&cloud) {
             // One for all infinities, as converters write them.
-            let is_read = parameter.can_be(value) || matches!((parameter, value.is_infinite()), (Opacity, true));
+            let is_read =
+                parameter.can_be(value) || matches!((parameter, value.is_infinite()), (Opacity, true));
             match (format, bytes) {
                 (Format::Spz, _) if matches!(parameter, Position) => {}
                 (Format::Ply, Ok(bytes)) => {
@@ -114,7 +117,11 @@ fn a_value_that_can_be_used_is_written_and_read_and_any_other_is_refused() {
                 }
                 (_, Ok(bytes)) => {
                     assert!(parameter.can_be(value), "{format:?} was written with {parameter:?} {value}");
-                    assert_eq!(read(folder.path(), format, &bytes), Ok(4), "{format:?} {parameter:?} {value}");
+                    assert_eq!(
+                        read(folder.path(), format, &bytes),
+                        Ok(4),
+                        "{format:?} {parameter:?} {value}"
+                    );
                 }
                 (_, Err(problem)) => {
                     assert!(!parameter.can_be(value), "{format:?} {parameter:?} {value}: {problem}");
@@ -147,7 +154,8 @@ fn a_sentence_says_what_is_beyond_what_can_be_used() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever a cloud holds: without what cannot be shown, every format takes it, and it is read again whole.
+    /// Whatever a cloud holds: without what cannot be shown, every format takes it, and it is read again
+    /// whole.
     #[test]
     fn what_is_left_of_any_cloud_is_written_by_every_format_and_read(
         seed in any::<u64>(),

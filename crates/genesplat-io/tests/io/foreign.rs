@@ -1,7 +1,8 @@
 //! Programs of others read what we write as we do ourselves, and we read what they write as they do.
 //!
-//! three.js and PlayCanvas's splat-transform come from npm, in the versions that `tests/foreign/package-lock.json` pins.
-//! Where there is no npm, these tests are skipped with a line; in CI that is a failure.
+//! three.js and PlayCanvas's splat-transform come from npm, in the versions that
+//! `tests/foreign/package-lock.json` pins. Where there is no npm, these tests are skipped with a line; in CI
+//! that is a failure.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -46,7 +47,11 @@ static PACKAGES: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
 fn node(arguments: &[&Path]) -> Vec<u8> {
     let output = Command::new("node").args(arguments).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "node {arguments:?}: {said} {}", String::from_utf8_lossy(&output.stdout));
+    assert!(
+        output.status.success(),
+        "node {arguments:?}: {said} {}",
+        String::from_utf8_lossy(&output.stdout)
+    );
     output.stdout
 }
 
@@ -61,7 +66,8 @@ fn three(packages: &Path, file: &Path) -> Value {
     serde_json::from_slice(&node(&[&script, &packages.join("three"), file])).unwrap()
 }
 
-/// Some writers change the order of rows: the rows of `read` as those of `written` are, by the nearest positions.
+/// Some writers change the order of rows: the rows of `read` as those of `written` are, by the nearest
+/// positions.
 fn in_order_of(read: &Gaussians, written: &Gaussians) -> Gaussians {
     let nearest = |position: &[f32; 3]| {
         let squared = |row: u32| -> f32 {
@@ -118,8 +124,8 @@ fn we_read_playcanvas_as_it_does() {
         let (read, expected) = (format::read(&theirs).unwrap(), format::read(&back).unwrap().cloud);
         assert_eq!(read.format, Format::of(&theirs).unwrap());
         assert_eq!(difference(&in_order_of(&read.cloud, &expected), &expected, &ROUNDING), Ok(()), "{name}");
-        // Its writers round down where ours round to the nearest step. Its palettes have fewer entries, and its codebooks
-        // leave rare values out.
+        // Its writers round down where ours round to the nearest step. Its palettes have fewer entries, and
+        // its codebooks leave rare values out.
         let Steps { position, log_scale, angle, opacity, base_colour, .. } = steps(read.format);
         let coded = if read.format == Format::Sog { f32::INFINITY } else { 2.0 };
         let twice = Steps {
@@ -147,10 +153,21 @@ fn we_read_playcanvas_glb() {
     assert_eq!(read.sh_degree, 1);
     read.cloud.positions.iter_mut().for_each(|[x, _, z]| (*x, *z) = (-*x, -*z));
     let read = in_order_of(&read.cloud, &cloud);
-    assert_near(read.positions.as_flattened(), cloud.positions.as_flattened().iter().copied(), 2e-5, "positions");
-    assert_near(read.log_scales.as_flattened(), cloud.log_scales.as_flattened().iter().copied(), 2e-5, "log-scales");
+    assert_near(
+        read.positions.as_flattened(),
+        cloud.positions.as_flattened().iter().copied(),
+        2e-5,
+        "positions",
+    );
+    assert_near(
+        read.log_scales.as_flattened(),
+        cloud.log_scales.as_flattened().iter().copied(),
+        2e-5,
+        "log-scales",
+    );
     assert_near(&read.opacity_logits, cloud.opacity_logits.iter().copied(), 2e-3, "opacities");
-    let base = |cloud: &Gaussians| -> Vec<f32> { cloud.sh.iter().flat_map(|row| row[..3].to_vec()).collect() };
+    let base =
+        |cloud: &Gaussians| -> Vec<f32> { cloud.sh.iter().flat_map(|row| row[..3].to_vec()).collect() };
     assert_near(&base(&read), base(&cloud), 2e-5, "base colours");
 }
 
@@ -226,7 +243,8 @@ fn three_reads_our_glb() {
 /// Upper triangles of the covariances, row by row.
 fn covariances(cloud: &Gaussians, axes: [f32; 3]) -> Vec<f32> {
     let of_row = |row: usize| {
-        let (r, s) = (rotation_matrix(cloud.rotations[row]), cloud.log_scales[row].map(|log| (2.0 * log).exp()));
+        let (r, s) =
+            (rotation_matrix(cloud.rotations[row]), cloud.log_scales[row].map(|log| (2.0 * log).exp()));
         [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
             .map(|(i, j)| axes[i] * axes[j] * (0..3).map(|k| r[i][k] * s[k] * r[j][k]).sum::<f32>())
     };

@@ -18,8 +18,8 @@ const LOG_SCALES: [f32; 2] = [-6.0, -1.0];
 /// Largest coefficient of [`varied`].
 const SH_MAX: f32 = 0.8;
 
-/// A cloud along a Morton curve, so that no writer changes its order. Eight rows each share their harmonics, so that a
-/// palette can hold them all.
+/// A cloud along a Morton curve, so that no writer changes its order. Eight rows each share their harmonics,
+/// so that a palette can hold them all.
 pub(crate) fn varied(seed: u64, rows: usize, sh_degree: u8) -> Gaussians {
     let rng = Rng::new(seed);
     // Uniform in -1..1, a function of row and column.
@@ -32,7 +32,8 @@ pub(crate) fn varied(seed: u64, rows: usize, sh_degree: u8) -> Gaussians {
     let rest = 3 * (usize::from(sh_degree) + 1).pow(2);
     for row in 0..rows {
         cloud.positions[row] = std::array::from_fn(|i| EXTENT * uniform(row, i as u32));
-        cloud.log_scales[row] = std::array::from_fn(|i| low + (high - low) * (0.5 + 0.5 * uniform(row, 4 + i as u32)));
+        cloud.log_scales[row] =
+            std::array::from_fn(|i| low + (high - low) * (0.5 + 0.5 * uniform(row, 4 + i as u32)));
         cloud.rotations[row] = std::array::from_fn(|i| uniform(row, 8 + i as u32));
         cloud.opacity_logits[row] = 6.0 * uniform(row, 12);
         cloud.sh[row][..3].copy_from_slice(&[16, 17, 18].map(|column| 1.5 * uniform(row, column)));
@@ -65,8 +66,9 @@ fn byte_step(range: f32) -> f32 {
     range / 255.0 / 2.0
 }
 
-/// The angle that an error of each of the three smallest components makes. The fourth, of at least 1/2, follows them: its
-/// error is at most three times theirs, so the four have a norm of at most `√12` times it, and an angle is twice that.
+/// The angle that an error of each of the three smallest components makes. The fourth, of at least 1/2,
+/// follows them: its error is at most three times theirs, so the four have a norm of at most `√12` times it,
+/// and an angle is twice that.
 fn angle_of(component: f32) -> f32 {
     2.0 * 12f32.sqrt() * component
 }
@@ -114,8 +116,8 @@ pub(crate) fn steps(format: Format) -> Steps {
             base_colour: byte_step(1.0) / 0.15 + ROUNDING,
             harmonic: 8.5 / 128.0 + ROUNDING,
         },
-        // A step of the logarithmic scale is widest far away. Values of a codebook lie about evenly here, at most three
-        // times as far from each other as on average.
+        // A step of the logarithmic scale is widest far away. Values of a codebook lie about evenly here, at
+        // most three times as far from each other as on average.
         Format::Sog => Steps {
             position: log_extent / 65535.0 / 2.0 * (1.0 + EXTENT) + ROUNDING,
             log_scale: 3.0 * scale_range / 256.0 / 2.0,
@@ -155,7 +157,8 @@ pub(crate) fn difference(read: &Gaussians, written: &Gaussians, steps: &Steps) -
 }
 
 fn angle(a: [f32; 4], b: [f32; 4]) -> f32 {
-    let dot = |a: [f32; 4], b: [f32; 4]| a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+    let dot =
+        |a: [f32; 4], b: [f32; 4]| a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
     let cosine = dot(a, b).abs() / (dot(a, a) * dot(b, b)).sqrt();
     (2.0 * cosine.min(1.0).acos()) as f32
 }
@@ -212,7 +215,8 @@ fn a_value_that_is_off_is_noticed() {
             // Turned about x by the angle.
             let (sin, cos) = (1.5 * steps.angle + 1e-3).sin_cos();
             let [w, x, y, z] = cloud.rotations[200];
-            cloud.rotations[200] = [w * cos - x * sin, w * sin + x * cos, y * cos - z * sin, y * sin + z * cos];
+            cloud.rotations[200] =
+                [w * cos - x * sin, w * sin + x * cos, y * cos - z * sin, y * sin + z * cos];
         },
         |cloud, steps| {
             let opacity = sigmoid(cloud.opacity_logits[200]);
@@ -266,7 +270,8 @@ fn a_gaussian_without_a_thickness_costs_its_neighbours_nothing() {
     cloud.log_scales[9][2] = f32::MIN_POSITIVE.ln();
     let path = file(&folder, Format::CompressedPly);
     write(&path, &cloud, &Options::default());
-    let mut read: Vec<f32> = format::read(&path).unwrap().cloud.log_scales.iter().map(|scales| scales[2]).collect();
+    let mut read: Vec<f32> =
+        format::read(&path).unwrap().cloud.log_scales.iter().map(|scales| scales[2]).collect();
     let mut wanted: Vec<f32> = cloud.log_scales.iter().map(|scales| scales[2].max(-20.0)).collect();
     [&mut read, &mut wanted].into_iter().for_each(|values| values.sort_by(f32::total_cmp));
     // 10 bits between -20 and what is usual.
@@ -282,7 +287,11 @@ fn rows_may_change_their_order_and_no_more() {
     for format in [Format::CompressedPly, Format::Spz] {
         let path = file(&folder, format);
         write(&path, &reversed, &Options::default());
-        assert_eq!(difference(&format::read(&path).unwrap().cloud, &cloud, &steps(format)), Ok(()), "{format:?}");
+        assert_eq!(
+            difference(&format::read(&path).unwrap().cloud, &cloud, &steps(format)),
+            Ok(()),
+            "{format:?}"
+        );
     }
 }
 
@@ -485,7 +494,10 @@ fn converters_infinite_opacities_become_opaque_and_transparent() {
     let read = format::read(&path).unwrap().cloud;
     assert!(read.opacity_logits.iter().all(|logit| logit.is_finite()));
     let opacities: Vec<f32> = read.opacity_logits.iter().map(|&logit| sigmoid(logit)).collect();
-    assert!(opacities[0] > 0.999_999 && opacities[1] < 1e-6 && read.opacity_logits[2] == 0.5, "{opacities:?}");
+    assert!(
+        opacities[0] > 0.999_999 && opacities[1] < 1e-6 && read.opacity_logits[2] == 0.5,
+        "{opacities:?}"
+    );
     cloud.opacity_logits[1] = f32::NAN;
     write(&path, &cloud, &Options::default());
     let error = format::read(&path).unwrap_err().to_string();

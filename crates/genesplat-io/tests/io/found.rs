@@ -49,7 +49,10 @@ fn photos_that_are_absent_are_counted_and_others_named() {
     fs::remove_file(photo("001.png")).unwrap();
     fs::remove_file(photo("003.png")).unwrap();
     let (photos, notice) = found(folder.path());
-    assert!(photos == 2 && notice.contains("2 of the 4 photos that") && notice.contains("a b/001.png"), "{notice}");
+    assert!(
+        photos == 2 && notice.contains("2 of the 4 photos that") && notice.contains("a b/001.png"),
+        "{notice}"
+    );
     fs::rename(photo("000.png"), photo("IMG_7.png")).unwrap();
     fs::rename(photo("002.png"), photo("IMG_8.png")).unwrap();
     let sentence = load(folder.path()).unwrap_err();
@@ -99,8 +102,9 @@ fn points_that_are_absent_are_drawn() {
     assert!(notice.contains("no points") && notice.contains("100000 random ones"), "{notice}");
     fs::remove_file(folder.path().join("sparse/0/points3D.txt")).unwrap();
     assert_eq!(found(folder.path()).1, notice);
-    let of_seed =
-        |seed| load_scene(folder.path(), &LoadOptions { seed, ..LoadOptions::default() }, &()).unwrap().points;
+    let of_seed = |seed| {
+        load_scene(folder.path(), &LoadOptions { seed, ..LoadOptions::default() }, &()).unwrap().points
+    };
     assert!(of_seed(1) == of_seed(1) && of_seed(1) != of_seed(2));
     fs::write(folder.path().join("sparse/0/points3D.txt"), "1 0 0 0 1 2 3 0.1\n").unwrap();
     assert!(load(folder.path()).unwrap_err().contains("has 1 points"));
@@ -129,7 +133,9 @@ fn of_several_models_the_one_with_the_most_photos_is_used() {
         write_form(&sparse("10"), form, &tiny_model(3));
         let (photos, notice) = found(folder.path());
         assert!(
-            photos == 5 && notice.contains("into 3 models") && notice.contains("sparse/1 is used, the largest"),
+            photos == 5
+                && notice.contains("into 3 models")
+                && notice.contains("sparse/1 is used, the largest"),
             "{notice}"
         );
         // Of equal ones the first, and the only one whatever it is called.
@@ -159,7 +165,10 @@ fn points_may_be_in_another_form_than_cameras() {
     fs::remove_file(sparse.join("points3D.txt")).unwrap();
     let properties = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"];
     let properties = properties.map(|name| format!("property {name}\n")).concat();
-    let ply = format!("ply\nformat ascii 1.0\nelement vertex 4\n{properties}end_header\n{}", "1 2 3 4 5 6\n".repeat(4));
+    let ply = format!(
+        "ply\nformat ascii 1.0\nelement vertex 4\n{properties}end_header\n{}",
+        "1 2 3 4 5 6\n".repeat(4)
+    );
     fs::write(sparse.join("points3D.ply"), ply).unwrap();
     let points = load(folder.path()).unwrap().points;
     assert_eq!((points.len(), points[3].position, points[3].rgb), (4, [1.0, 2.0, 3.0], [4, 5, 6]));
@@ -168,7 +177,8 @@ fn points_may_be_in_another_form_than_cameras() {
 #[test]
 fn a_part_of_a_scene_stands_for_the_whole() {
     let folder = tiny_scene(3);
-    for part in ["sparse/0", "sparse", "images", "images/a b", "sparse/0/images.txt", "sparse/0/cameras.txt"] {
+    for part in ["sparse/0", "sparse", "images", "images/a b", "sparse/0/images.txt", "sparse/0/cameras.txt"]
+    {
         let (photos, notice) = found(&folder.path().join(part));
         assert!(photos == 3 && notice.contains("of which a part was given"), "{part}: {notice}");
     }
@@ -189,7 +199,8 @@ fn a_part_of_a_scene_stands_for_the_whole() {
     fs::create_dir(folder.path()).unwrap();
 }
 
-/// COLMAP's dense workspace holds the photos without distortion, and their model; the model beside is of others.
+/// COLMAP's dense workspace holds the photos without distortion, and their model; the model beside is of
+/// others.
 #[test]
 fn the_scene_in_a_workspace_is_found() {
     let folder = tempfile::tempdir().unwrap();
@@ -263,7 +274,10 @@ fn cameras_of_other_programs_are_told_apart() {
         photos::write_png(&folder.path().join("images/0.png"), &tiny_photo(0, SIZE)).unwrap();
         fs::write(folder.path().join(name), "x").unwrap();
         let sentence = load(folder.path()).unwrap_err();
-        assert!(sentence.contains(name) && sentence.contains(says) && sentence.contains("poses"), "{sentence}");
+        assert!(
+            sentence.contains(name) && sentence.contains(says) && sentence.contains("poses"),
+            "{sentence}"
+        );
     }
 }
 
@@ -297,7 +311,8 @@ fn a_photo_on_its_side_is_turned_where_its_camera_says_so() {
     };
     // Dark is where rows and columns begin.
     assert!(top_left(&raw, 6)[0] < 60, "raw pixels, whatever the tag says");
-    // What is upright has the lower left corner of the file's pixels at its top left with tag 6, and the upper right one with 8.
+    // What is upright has the lower left corner of the file's pixels at its top left with tag 6, and the
+    // upper right one with 8.
     let ([red, green, _], [other_red, other_green, _]) = (top_left(&sideways, 6), top_left(&sideways, 8));
     assert!(red < 60 && green > 200, "turned clockwise: {red} {green}");
     assert!(other_red > 200 && other_green < 60, "turned counter-clockwise: {other_red} {other_green}");
@@ -307,14 +322,16 @@ fn a_photo_on_its_side_is_turned_where_its_camera_says_so() {
 
 /// Red grows to the right, green downwards.
 fn gradient([width, height]: [u32; 2]) -> Photo {
-    let pixel = |at: u32| [(255 * (at % width) / (width - 1)) as u8, (255 * (at / width) / (height - 1)) as u8, 0];
+    let pixel =
+        |at: u32| [(255 * (at % width) / (width - 1)) as u8, (255 * (at / width) / (height - 1)) as u8, 0];
     Photo { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
 }
 
 /// A JPEG with an orientation in its EXIF data.
 fn tagged(jpeg: &[u8], orientation: u8) -> Vec<u8> {
     let tiff =
-        [b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0, 0]].concat();
+        [b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0, 0]]
+            .concat();
     let length = (2 + 6 + tiff.len() as u16).to_be_bytes();
     [&jpeg[..2], b"\xFF\xE1", &length, b"Exif\0\0", &tiff, &jpeg[2..]].concat()
 }

@@ -131,7 +131,8 @@ fn bytes_after_the_end_are_an_error() {
 #[test]
 fn older_spz_is_read() {
     let place = Place::new();
-    // Half floats 1, -2 and 0.5; opacity 128; colours; log-scales -10, -9 and -8; a rotation of a half turn about z.
+    // Half floats 1, -2 and 0.5; opacity 128; colours; log-scales -10, -9 and -8; a rotation of a half turn
+    // about z.
     let halves = [0x3c00u16, 0xc000, 0x3800].map(u16::to_le_bytes).concat();
     let fixed = [[0, 1, 0], [0, 0xfe, 0xff], [0x80, 0, 0]].concat();
     let others: [u8; 10] = [128, 127, 255, 0, 0, 16, 32, 128, 128, 255];
@@ -143,7 +144,11 @@ fn older_spz_is_read() {
         assert_eq!(loaded.cloud.log_scales, [[-10.0, -9.0, -8.0]]);
         assert!((sigmoid(loaded.cloud.opacity_logits[0]) - 128.0 / 255.0).abs() < 1e-6);
         let [w, x, y, z] = loaded.cloud.rotations[0];
-        assert!(w.abs() < 0.1 && x.abs() < 0.01 && y.abs() < 0.01 && z.abs() > 0.99, "{:?}", loaded.cloud.rotations);
+        assert!(
+            w.abs() < 0.1 && x.abs() < 0.01 && y.abs() < 0.01 && z.abs() > 0.99,
+            "{:?}",
+            loaded.cloud.rotations
+        );
         let base = &loaded.cloud.sh[0][..3];
         assert!((base[1] - 0.5 / 0.15).abs() < 1e-5 && (base[2] + 0.5 / 0.15).abs() < 1e-5, "{base:?}");
     }
@@ -194,7 +199,8 @@ fn extensions_of_spz_are_passed_over_or_heeded() {
     write(&path, &cloud, &Options::default());
     let file = fs::read(&path).unwrap();
     let plain = format::read(&path).unwrap().cloud;
-    let read = |kind, payload: &[u8]| format::read(&place.file(".spz", &with_extension(&file, kind, payload)));
+    let read =
+        |kind, payload: &[u8]| format::read(&place.file(".spz", &with_extension(&file, kind, payload)));
     assert_eq!(read(0x1234_0001, &[9; 24]).unwrap().cloud, plain, "unknown");
     assert_eq!(read(0xADBE_0003, &[4, 0, 0, 0]).unwrap().cloud, plain, "right, up, back");
     let down = read(0xADBE_0003, &[6, 0, 0, 0]).unwrap().cloud;
@@ -222,10 +228,13 @@ fn extensions_of_older_spz_are_heeded_too() {
         bytes[14] = 2;
         format::read(&place.file(".spz", &gzip(&bytes)))
     };
-    let extension =
-        |kind: u32, payload: &[u8]| [&kind.to_le_bytes()[..], &(payload.len() as u32).to_le_bytes(), payload].concat();
+    let extension = |kind: u32, payload: &[u8]| {
+        [&kind.to_le_bytes()[..], &(payload.len() as u32).to_le_bytes(), payload].concat()
+    };
     let plain = read(&[]).unwrap().cloud;
-    let down = read(&[extension(0x1234_0001, &[9; 5]), extension(0xADBE_0003, &[6, 0, 0, 0])].concat()).unwrap().cloud;
+    let down = read(&[extension(0x1234_0001, &[9; 5]), extension(0xADBE_0003, &[6, 0, 0, 0])].concat())
+        .unwrap()
+        .cloud;
     assert_eq!(down.positions[0].map(|v| -v)[1..], plain.positions[0][1..], "right, down, forward");
     for (kind, payload, words) in
         [(0xADBE_0003, &[1, 0, 0, 0][..], "axes"), (0xADBE_0001, &[0; 16], "spherical harmonics")]
@@ -233,7 +242,11 @@ fn extensions_of_older_spz_are_heeded_too() {
         let error = read(&extension(kind, payload)).unwrap_err().to_string();
         assert!(error.contains(words) && error.contains("export it"), "{error}");
     }
-    assert_eq!(read(&[1; 20]).unwrap().cloud, plain, "a record without a size, as the first programs wrote it");
+    assert_eq!(
+        read(&[1; 20]).unwrap().cloud,
+        plain,
+        "a record without a size, as the first programs wrote it"
+    );
     assert!(read(&vec![0; (1 << 20) + 1]).unwrap_err().to_string().contains("goes on after"));
 }
 
@@ -273,7 +286,11 @@ fn compressed_ply_that_contradicts_itself_is_refused() {
     let with = |from: &str, to: &str| [text.replace(from, to).as_bytes(), &file[header_end..]].concat();
     for (from, to, words) in [
         ("element chunk 2", "element chunk 1", "again"),
-        ("element vertex 300", "element vertex 18446744073709551615", "ends before the 18446744073709551615 rows"),
+        (
+            "element vertex 300",
+            "element vertex 18446744073709551615",
+            "ends before the 18446744073709551615 rows",
+        ),
         ("element sh 300", "element sh 3", "again"),
         ("min_y", "min_w", "no float property min_y"),
         ("float min_y", "uint min_y", "no float property min_y"),
@@ -286,7 +303,8 @@ fn compressed_ply_that_contradicts_itself_is_refused() {
         assert!(error.contains(words), "{from}: {error}");
     }
     // Rows without properties have no bytes, so any number of them fits.
-    let empty = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nelement chunk 3906250000\n\
+    let empty =
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nelement chunk 3906250000\n\
         element vertex 0\nproperty uint packed_position\nend_header\n";
     assert!(place.refused(".compressed.ply", empty).contains("no uint property packed_position"));
 }
@@ -315,7 +333,8 @@ fn glb_that_holds_no_splat_or_lies_about_it_is_refused() {
         )
     };
     let all = r#""POSITION":0,"KHR_gaussian_splatting:ROTATION":0,"KHR_gaussian_splatting:SCALE":0,"KHR_gaussian_splatting:OPACITY":0"#;
-    let floats = |count: u64| format!(r#"{{"bufferView":0,"componentType":5126,"type":"VEC3","count":{count}}}"#);
+    let floats =
+        |count: u64| format!(r#"{{"bufferView":0,"componentType":5126,"type":"VEC3","count":{count}}}"#);
     for (json, words) in [
         ("{}".to_owned(), "holds no splat"),
         ("{".to_owned(), "description"),
@@ -339,8 +358,9 @@ fn glb_of_nodes(nodes: &str, primitives: usize) -> Vec<u8> {
     let name = |name: &str, index: usize| format!(r#""KHR_gaussian_splatting:{name}":{index}"#);
     let attributes =
         [name("ROTATION", 1), name("SCALE", 0), name("OPACITY", 2), name("SH_DEGREE_0_COEF_0", 0)].join(",");
-    let primitive =
-        format!(r#"{{"attributes":{{"POSITION":0,{attributes}}},"extensions":{{"KHR_gaussian_splatting":{{}}}}}}"#);
+    let primitive = format!(
+        r#"{{"attributes":{{"POSITION":0,{attributes}}},"extensions":{{"KHR_gaussian_splatting":{{}}}}}}"#
+    );
     let accessors = ["VEC3", "VEC4", "SCALAR"]
         .map(|kind| format!(r#"{{"bufferView":0,"componentType":5126,"type":"{kind}","count":1}}"#));
     let json = format!(
@@ -365,10 +385,12 @@ fn glb_that_moves_its_splat_is_refused() {
     }
 }
 
-/// Each node is looked at once, however deep the splat lies: step by step for each primitive, this took 44 seconds.
+/// Each node is looked at once, however deep the splat lies: step by step for each primitive, this took 44
+/// seconds.
 #[test]
 fn a_chain_of_many_nodes_takes_no_time() {
-    let link = |at: usize| if at == 0 { r#"{"mesh":0}"#.into() } else { format!(r#"{{"children":[{}]}}"#, at - 1) };
+    let link =
+        |at: usize| if at == 0 { r#"{"mesh":0}"#.into() } else { format!(r#"{{"children":[{}]}}"#, at - 1) };
     let nodes: Vec<String> = (0..40_000).map(link).collect();
     let place = Place::new();
     let path = place.file(".glb", &glb_of_nodes(&nodes.join(","), 5));
@@ -393,7 +415,8 @@ fn quantised_glb_is_read() {
         accessor(0, "VEC3", 5126, false),
     ];
     let name = |name: &str, index: usize| format!(r#""KHR_gaussian_splatting:{name}":{index}"#);
-    let attributes = [name("ROTATION", 1), name("SCALE", 2), name("OPACITY", 3), name("SH_DEGREE_0_COEF_0", 4)];
+    let attributes =
+        [name("ROTATION", 1), name("SCALE", 2), name("OPACITY", 3), name("SH_DEGREE_0_COEF_0", 4)];
     let json = format!(
         r#"{{"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,{}}},"extensions":{{"KHR_gaussian_splatting":{{}}}}}}]}}],
         "accessors":[{}],"bufferViews":[{{"byteLength":12}},{{"byteOffset":12,"byteLength":4}},{{"byteOffset":16,"byteLength":1}}]}}"#,

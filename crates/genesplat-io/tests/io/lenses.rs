@@ -21,12 +21,15 @@ const CAMERAS: [(&str, &[f64]); 15] = [
     ("FOV", &[692.0, 688.0, 268.0, 485.0, 0.8]),
     ("SIMPLE_RADIAL_FISHEYE", &[690.0, 268.0, 485.0, 0.04]),
     ("RADIAL_FISHEYE", &[690.0, 268.0, 485.0, 0.05, -0.04]),
-    ("THIN_PRISM_FISHEYE", &[692.0, 688.0, 268.0, 485.0, 0.05, -0.03, 0.004, -0.003, 0.02, -0.01, 0.006, -0.005]),
+    (
+        "THIN_PRISM_FISHEYE",
+        &[692.0, 688.0, 268.0, 485.0, 0.05, -0.03, 0.004, -0.003, 0.02, -0.01, 0.006, -0.005],
+    ),
     (
         "RAD_TAN_THIN_PRISM_FISHEYE",
         &[
-            692.0, 688.0, 268.0, 485.0, 0.05, -0.03, 0.02, -0.01, 0.004, -0.002, 0.004, -0.003, 0.006, -0.005, 0.004,
-            -0.003,
+            692.0, 688.0, 268.0, 485.0, 0.05, -0.03, 0.02, -0.01, 0.004, -0.002, 0.004, -0.003, 0.006,
+            -0.005, 0.004, -0.003,
         ],
     ),
     ("SIMPLE_DIVISION", &[690.0, 268.0, 485.0, -0.1]),
@@ -90,7 +93,8 @@ fn a_wrong_coefficient_is_seen() {
 fn python_with_pycolmap() -> Option<PathBuf> {
     let of_ci = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/venv/bin/python");
     let python = std::env::var_os("GENESPLAT_PYTHON").map_or(of_ci, PathBuf::from);
-    let has_it = Command::new(&python).args(["-c", "import pycolmap"]).output().is_ok_and(|ran| ran.status.success());
+    let has_it =
+        Command::new(&python).args(["-c", "import pycolmap"]).output().is_ok_and(|ran| ran.status.success());
     assert!(has_it || std::env::var("CI").as_deref() != Ok("true"), "{} has no pycolmap", python.display());
     if !has_it {
         skipped(&format!("{} has no pycolmap (see .ci/run)", python.display()));

@@ -38,7 +38,10 @@ fn masks_are_found_under_the_names_of_both_conventions() {
     }
     let scene = load(folder.path(), MaskUse::Usual).unwrap();
     assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 840, 840, 1200]);
-    assert_eq!(scene.notices, ["3 of 4 photos have a mask: what it hides counts for nothing (--mask ignore)"]);
+    assert_eq!(
+        scene.notices,
+        ["3 of 4 photos have a mask: what it hides counts for nothing (--mask ignore)"]
+    );
     assert_eq!(scene.photos.len(), 7, "masks are not to be written over, either");
 
     let scene = load(folder.path(), MaskUse::Transparent).unwrap();
@@ -69,7 +72,8 @@ fn a_mask_that_is_a_jpeg_hides_what_is_dark() {
     let options = LoadOptions { hold_out: HoldOut::None, ..LoadOptions::default() };
     let scene = load_scene(folder.path(), &options, &()).unwrap();
     let counts = &scene.train[0].mask.as_ref().unwrap().counts;
-    let wrong = (0..WIDTH * HEIGHT).filter(|index| counts[*index as usize] == is_hidden(index % WIDTH)).count();
+    let wrong =
+        (0..WIDTH * HEIGHT).filter(|index| counts[*index as usize] == is_hidden(index % WIDTH)).count();
     assert_eq!(wrong, 0);
 }
 
@@ -81,8 +85,12 @@ fn transparency_is_background_or_hidden() {
     image::RgbaImage::from_fn(WIDTH, HEIGHT, glass).save(folder.path().join("images/a b/000.png")).unwrap();
     for mask in [MaskUse::Usual, MaskUse::Transparent] {
         let scene = load(folder.path(), mask).unwrap();
-        assert!(scene.test[0].mask.is_none() && scene.test[0].photo.read().unwrap().pixel(20, 3) == [9, 8, 7]);
-        assert!(scene.notices[0].starts_with("1 of 2 photos are transparent in parts, which must be background"));
+        assert!(
+            scene.test[0].mask.is_none() && scene.test[0].photo.read().unwrap().pixel(20, 3) == [9, 8, 7]
+        );
+        assert!(
+            scene.notices[0].starts_with("1 of 2 photos are transparent in parts, which must be background")
+        );
     }
     let scene = load(folder.path(), MaskUse::Ignore).unwrap();
     assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 1200]);
@@ -101,7 +109,9 @@ fn masks_that_cannot_be_meant_are_told() {
     let masks = folder.path().join("masks");
     photos::write_png(&masks.join("IMG_1.png"), &mask()).unwrap();
     let scene = load(folder.path(), MaskUse::Usual).unwrap();
-    assert!(scene.notices[0].contains("has no mask of any photo: that of 000.png would be called 000.png.png"));
+    assert!(
+        scene.notices[0].contains("has no mask of any photo: that of 000.png would be called 000.png.png")
+    );
     for (size, advice) in [([20, 20], "make it as large as its photo"), ([30, 40], "turn it as its photo")] {
         photos::write_png(&masks.join("001.png"), &tiny_photo(0, size)).unwrap();
         let sentence = load(folder.path(), MaskUse::Usual).unwrap_err().to_string();

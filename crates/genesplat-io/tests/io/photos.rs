@@ -1,4 +1,5 @@
-//! Photos: sizes, resampling as published figures were made, transparency, and pictures that survive the disk.
+//! Photos: sizes, resampling as published figures were made, transparency, and pictures that survive the
+//! disk.
 
 use std::fs;
 
@@ -40,15 +41,15 @@ fn resampling_is_pillows_to_the_bit() {
     let rgb = (0..9 * 13 * 3).map(|i| value(i / 3 % 13, i / 39, i % 3)).collect();
     let photo = Photo { width: 13, height: 9, rgb };
     let reduced = [
-        72, 152, 156, 102, 152, 169, 106, 132, 213, 86, 146, 134, 83, 147, 84, 127, 124, 117, 93, 114, 85, 135, 170,
-        162, 138, 156, 160, 142, 132, 135, 105, 151, 140, 83, 110, 151, 109, 136, 129, 126, 145, 145, 156, 146, 113,
-        158, 177, 124, 117, 125, 131, 101, 146, 155, 105, 157, 113, 119, 177, 130,
+        72, 152, 156, 102, 152, 169, 106, 132, 213, 86, 146, 134, 83, 147, 84, 127, 124, 117, 93, 114, 85,
+        135, 170, 162, 138, 156, 160, 142, 132, 135, 105, 151, 140, 83, 110, 151, 109, 136, 129, 126, 145,
+        145, 156, 146, 113, 158, 177, 124, 117, 125, 131, 101, 146, 155, 105, 157, 113, 119, 177, 130,
     ];
     assert_eq!(photos::resize(&photo, 5, 4), Photo { width: 5, height: 4, rgb: reduced.into() });
     let third_row = [
-        188, 169, 156, 75, 126, 129, 67, 131, 117, 136, 148, 121, 67, 49, 105, 49, 97, 119, 87, 149, 79, 159, 154, 62,
-        205, 107, 156, 68, 165, 172, 118, 155, 162, 151, 158, 169, 42, 218, 190, 185, 145, 67, 177, 90, 128, 130, 106,
-        140, 119, 162, 52,
+        188, 169, 156, 75, 126, 129, 67, 131, 117, 136, 148, 121, 67, 49, 105, 49, 97, 119, 87, 149, 79, 159,
+        154, 62, 205, 107, 156, 68, 165, 172, 118, 155, 162, 151, 158, 169, 42, 218, 190, 185, 145, 67, 177,
+        90, 128, 130, 106, 140, 119, 162, 52,
     ];
     assert_eq!(photos::resize(&photo, 17, 5).rgb[2 * 51..3 * 51], third_row);
     assert_eq!(photos::resize(&photo, 13, 9), photo);
@@ -79,7 +80,10 @@ fn grey_and_deep_pictures_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let (grey, deep) = (folder.path().join("grey.png"), folder.path().join("deep.png"));
     image::GrayImage::from_raw(2, 1, vec![7, 250]).unwrap().save(&grey).unwrap();
-    image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(1, 1, vec![257u16 * 9, 0, 65535]).unwrap().save(&deep).unwrap();
+    image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(1, 1, vec![257u16 * 9, 0, 65535])
+        .unwrap()
+        .save(&deep)
+        .unwrap();
     assert_eq!(photos::read_photo(&grey).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
     assert_eq!(photos::read_photo(&deep).unwrap().rgb, [9, 0, 255]);
 }
@@ -110,7 +114,10 @@ fn a_file_far_larger_than_its_picture_is_refused_unread() {
     photos::write_png(&path, &Photo { width: 3, height: 2, rgb: vec![9; 18] }).unwrap();
     fs::File::options().append(true).open(&path).unwrap().set_len(10_000_000_000).unwrap();
     let refused = photos::read_photo(&path).unwrap_err().to_string();
-    assert!(refused.contains("its 10000000000 bytes are more than 3x2 pixels take; export it again"), "{refused}");
+    assert!(
+        refused.contains("its 10000000000 bytes are more than 3x2 pixels take; export it again"),
+        "{refused}"
+    );
 }
 
 /// A header may claim 65,535 x 65,535 pixels: 12 GB. Less is believed as far as the bytes reach.
@@ -137,7 +144,8 @@ fn a_photo_that_claims_to_be_huge_is_refused() {
 fn a_jpeg_cut_anywhere_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("photo.jpg");
-    let pattern = image::RgbImage::from_fn(48, 32, |x, y| image::Rgb([(x * y) as u8, (7 * x) as u8, y as u8]));
+    let pattern =
+        image::RgbImage::from_fn(48, 32, |x, y| image::Rgb([(x * y) as u8, (7 * x) as u8, y as u8]));
     pattern.save(&path).unwrap();
     let whole = fs::read(&path).unwrap();
     assert_eq!(photos::read_photo(&path).unwrap().width, 48);

@@ -100,8 +100,10 @@ fn the_layout_is_the_authors() {
     let bytes = fs::read(&path).unwrap();
     let end = b"end_header\n";
     let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
-    let values: Vec<f32> = bytes[start..].chunks_exact(4).map(|v| f32::from_le_bytes(v.try_into().unwrap())).collect();
-    // The file is channel-major after the base colours; memory holds the three channels of each coefficient together.
+    let values: Vec<f32> =
+        bytes[start..].chunks_exact(4).map(|v| f32::from_le_bytes(v.try_into().unwrap())).collect();
+    // The file is channel-major after the base colours; memory holds the three channels of each coefficient
+    // together.
     let mut expected = vec![1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0];
     expected.extend((0..3).flat_map(|channel| (1..16).map(move |k| (3 * k + channel) as f32)));
     expected.extend((100..108).map(|i| i as f32));
@@ -126,7 +128,8 @@ fn screen_filters_survive_the_file() {
 #[test]
 fn other_orders_types_and_degrees_are_read() {
     let names = "rot_3 rot_2 rot_1 rot_0 scale_2 scale_1 scale_0 opacity f_dc_2 f_dc_1 f_dc_0 z y x";
-    let mut text = String::from("ply\r\nformat binary_little_endian 1.0\r\nelement camera 2\r\nproperty short id\r\n");
+    let mut text =
+        String::from("ply\r\nformat binary_little_endian 1.0\r\nelement camera 2\r\nproperty short id\r\n");
     text += "element vertex 1\r\nproperty uchar label\r\n";
     names.split(' ').for_each(|name| text += &format!("property double {name}\r\n"));
     // Degree 1, three coefficients a channel.
@@ -258,7 +261,8 @@ fn a_value_that_is_not_finite_is_named() {
     for filter in [f32::NAN, f32::INFINITY, -0.5] {
         let cloud = Gaussians { filter_3d: Some(vec![0.0, 0.1, filter]), ..Gaussians::zeros(3) };
         let error = ply::check_finite(&path, &cloud).unwrap_err();
-        let is_named = matches!(error, PlyError::Gaussian { fault: Fault { row: 2, parameter: "filter_3D", .. }, .. });
+        let is_named =
+            matches!(error, PlyError::Gaussian { fault: Fault { row: 2, parameter: "filter_3D", .. }, .. });
         assert!(is_named, "{error}");
     }
 }
@@ -309,7 +313,8 @@ fn flat_gaussians_get_a_thickness() {
     let text = in_ascii(&path);
     // Words of the third scale go with its line.
     let (header, rows) = text.split_once("end_header\n").unwrap();
-    let flat = header.replace("property float scale_2\n", "") + "end_header\n" + &rows.replace("-1 -2 -3", "-1 -2");
+    let flat =
+        header.replace("property float scale_2\n", "") + "end_header\n" + &rows.replace("-1 -2 -3", "-1 -2");
     fs::write(&path, &flat).unwrap();
     let (header, read) = ply::read_ply_with_header(&path).unwrap();
     assert!(header.is_2dgs);

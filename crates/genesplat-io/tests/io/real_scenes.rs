@@ -5,9 +5,11 @@ use genesplat_io::{LoadOptions, PhotoSize, load_scene, read_ply};
 
 #[test]
 fn colmap_scenes_load_whole() {
-    for (name, photos, points, size) in
-        [("fox", 50usize, 14_678, [539, 960]), ("fern", 20, 10_091, [747, 560]), ("plush", 97, 25_784, [640, 480])]
-    {
+    for (name, photos, points, size) in [
+        ("fox", 50usize, 14_678, [539, 960]),
+        ("fern", 20, 10_091, [747, 560]),
+        ("plush", 97, 25_784, [640, 480]),
+    ] {
         let Some(folder) = real_scene(name) else { continue };
         let options = LoadOptions { size: PhotoSize::Downscale(4), ..LoadOptions::default() };
         let scene = load_scene(&folder, &options, &()).unwrap();
@@ -35,7 +37,8 @@ fn seen_fraction(scene: &genesplat_io::Scene) -> f64 {
         in_camera.z > 0.0 && (0.0..w).contains(&u) && (0.0..h).contains(&v)
     };
     let pairs = (scene.train.len() * scene.points.len()) as f64;
-    let seen = scene.train.iter().flat_map(|view| scene.points.iter().filter(move |point| inside(view, point)));
+    let seen =
+        scene.train.iter().flat_map(|view| scene.points.iter().filter(move |point| inside(view, point)));
     seen.count() as f64 / pairs
 }
 

@@ -34,7 +34,10 @@ fn any_interval_and_any_list_can_be_held_out() {
     };
     assert_eq!(held_out(HoldOut::Every(NonZeroU32::new(3).unwrap())), ["000.png", "003.png", "006.png"]);
     // In the order of the scene, whatever the order of the list.
-    assert_eq!(held_out(listed(&["005.png", "001", "a b/004.png", "001.png"])), ["001.png", "004.png", "005.png"]);
+    assert_eq!(
+        held_out(listed(&["005.png", "001", "a b/004.png", "001.png"])),
+        ["001.png", "004.png", "005.png"]
+    );
     assert_eq!(held_out(HoldOut::None), [""; 0]);
 }
 
@@ -57,7 +60,10 @@ fn a_listed_photo_is_one_photo_of_the_scene() {
     write_scene(folder.path(), Form::Binary, &model);
     assert_eq!(split(folder.path(), listed(&["right/1.png"])).unwrap()[0], ["right_1.png"]);
     let unknown = split(folder.path(), listed(&["left/1.png", "3.png"])).unwrap_err();
-    assert!(unknown.contains("no photo called 3.png") && unknown.contains("names like left/1.png"), "{unknown}");
+    assert!(
+        unknown.contains("no photo called 3.png") && unknown.contains("names like left/1.png"),
+        "{unknown}"
+    );
     let ambiguous = split(folder.path(), listed(&["1.png"])).unwrap_err();
     assert!(ambiguous.contains("has 2 photos called 1.png"), "{ambiguous}");
     assert_eq!(split(folder.path(), listed(&["left/1"])).unwrap()[0], ["left_1.png"], "without its ending");

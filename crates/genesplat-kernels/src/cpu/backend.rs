@@ -6,8 +6,9 @@ use fearless_simd::Level;
 use genesplat_core::backend::StepReport;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
-    BackendError, Camera, Device, DeviceState, Edit, Gaussians, Genes, Held, Image, Moments, RenderSettings, Renderer,
-    RowEdit, SparseDelta, StateMean, Statistics, StatisticsRequest, TrainStep, Upload, View, ViewLoss,
+    BackendError, Camera, Device, DeviceState, Edit, Gaussians, Genes, Held, Image, Moments, RenderSettings,
+    Renderer, RowEdit, SparseDelta, StateMean, Statistics, StatisticsRequest, TrainStep, Upload, View,
+    ViewLoss,
 };
 
 use super::blend::blending_weights::blending_weights;
@@ -86,7 +87,9 @@ impl CpuBackend {
     pub(super) fn project_for_step(&mut self, step: &TrainStep) {
         let Self { level, trained, buffers, views, .. } = self;
         let ViewBuffers { splats, seconds, .. } = buffers;
-        timed(&mut seconds.project, || trained.project(*level, &views[step.view].camera, &step.settings, splats));
+        timed(&mut seconds.project, || {
+            trained.project(*level, &views[step.view].camera, &step.settings, splats)
+        });
     }
 
     /// The step is made.

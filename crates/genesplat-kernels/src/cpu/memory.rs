@@ -1,8 +1,8 @@
 //! What the verbs of the CPU backend will take, so that they can ask for it before they change anything.
 //!
-//! These are upper bounds, but for the intersections of a view: how many there are is known once they are listed. A view
-//! is taken to have at most twice as many as the one before, and what depends on them most, the gradient rows, is asked
-//! for when they are known.
+//! These are upper bounds, but for the intersections of a view: how many there are is known once they are
+//! listed. A view is taken to have at most twice as many as the one before, and what depends on them most,
+//! the gradient rows, is asked for when they are known.
 
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{BackendError, Gaussians, Held, SparseDelta};
@@ -105,8 +105,8 @@ impl CpuBackend {
         ensure_memory(self.rows() * views * size_of::<f32>(), "weights of views")
     }
 
-    /// Pools of at most so many individuals, differences from so many rows, two views at a time, and the photos that are scored
-    /// for the first time.
+    /// Pools of at most so many individuals, differences from so many rows, two views at a time, and the
+    /// photos that are scored for the first time.
     pub(super) fn ensure_scores(
         &self,
         rows: usize,
@@ -114,7 +114,8 @@ impl CpuBackend {
         views: &[usize],
     ) -> Result<(), BackendError> {
         let pixels = |&view: &usize| self.views[view].camera.grid().iter().product::<usize>() * TILE * TILE;
-        let (most, all) = (views.iter().map(pixels).max().unwrap_or(0), views.iter().map(pixels).sum::<usize>());
+        let (most, all) =
+            (views.iter().map(pixels).max().unwrap_or(0), views.iter().map(pixels).sum::<usize>());
         let pictures = most * 3 * size_of::<f32>() * population.len();
         let versions = rows + population.iter().map(|delta| delta.rows.len()).sum::<usize>();
         let buffers = 2 * (pictures.min(POOL_BYTES) + versions * (VERSION + PER_ROW * INTERSECTION));

@@ -1,7 +1,7 @@
 //! The CPU backend: every stage on all cores, with the widest vectors that the machine has.
 //!
-//! Work is cut into pieces of fixed size and every sum has a fixed order, so that results are the same bytes for any
-//! number of threads. Threads are those of the ambient rayon pool.
+//! Work is cut into pieces of fixed size and every sum has a fixed order, so that results are the same bytes
+//! for any number of threads. Threads are those of the ambient rayon pool.
 
 mod backend;
 mod bin;

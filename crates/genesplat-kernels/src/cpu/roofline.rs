@@ -1,7 +1,9 @@
-//! The roofline of forward blending: what one core needs for one Gaussian over a whole 16x16 tile when nothing but the
-//! arithmetic is left. 512 Gaussians, all in cache, no lists, no culling, no pixel ever finished.
+//! The roofline of forward blending: what one core needs for one Gaussian over a whole 16x16 tile when
+//! nothing but the arithmetic is left. 512 Gaussians, all in cache, no lists, no culling, no pixel ever
+//! finished.
 //!
-//! `bench step` divides the time of the real stage by its number of intersections and compares. The real stage may be
+//! `bench step` divides the time of the real stage by its number of intersections and compares. The real
+//! stage may be
 //! *faster*, since it leaves out the blocks that a splat does not reach.
 
 use std::hint::black_box;
@@ -16,8 +18,8 @@ use super::view::{Splat, TILE};
 const GAUSSIANS: usize = 512;
 const REPEATS: usize = 50;
 
-/// Nanoseconds per intersection (one Gaussian over a whole 16x16 tile) on one core: the fastest of several repeats, as
-/// an interruption can only slow one down.
+/// Nanoseconds per intersection (one Gaussian over a whole 16x16 tile) on one core: the fastest of several
+/// repeats, as an interruption can only slow one down.
 pub fn roofline_nanoseconds_per_intersection() -> f64 {
     let splats: Vec<Splat> = (0..GAUSSIANS).map(faint_splat).collect();
     let level = Level::new();

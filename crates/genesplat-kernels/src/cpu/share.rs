@@ -57,7 +57,9 @@ impl CpuBackend {
         self.ensure_view(camera)?;
         self.ensure_look(held)?;
         let (cloud, buffers) = (self.mean.look(self.trained.cloud(self.level), held), &mut self.buffers);
-        timed(&mut buffers.seconds.project, || project(self.level, &cloud, camera, settings, &mut buffers.splats));
+        timed(&mut buffers.seconds.project, || {
+            project(self.level, &cloud, camera, settings, &mut buffers.splats)
+        });
         Ok(&buffers.splats)
     }
 
@@ -88,8 +90,8 @@ impl CpuBackend {
         self.count(step);
     }
 
-    /// Losses of individuals on some views as one process would find them that scores them on `all` views: differences from
-    /// `cloud`, of which the rows held may be a share.
+    /// Losses of individuals on some views as one process would find them that scores them on `all` views:
+    /// differences from `cloud`, of which the rows held may be a share.
     pub fn score_on(
         &mut self,
         cloud: &Gaussians,

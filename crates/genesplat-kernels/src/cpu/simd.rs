@@ -1,7 +1,8 @@
 //! The few vector helpers that more than one stage uses.
 //!
-//! Stages are generic over `S: Simd` and entered through [`fearless_simd::dispatch!`], which picks the instruction set
-//! when the program runs. A vector always has 16 lanes; narrower machines use several registers for it.
+//! Stages are generic over `S: Simd` and entered through [`fearless_simd::dispatch!`], which picks the
+//! instruction set when the program runs. A vector always has 16 lanes; narrower machines use several
+//! registers for it.
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 
@@ -15,8 +16,9 @@ pub(crate) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 /// Added to an f32 below 2²², this rounds it to an integer in the low mantissa bits.
 const ROUND: f32 = 12_582_912.0;
 
-/// `array!(k => value)` is `[value, ...]` for `k` = 0, 1, ...: always inlined, as `std::array::from_fn` and `map` are
-/// not. A vector operation that is not inlined into the function that dispatched it becomes a call through memory.
+/// `array!(k => value)` is `[value, ...]` for `k` = 0, 1, ...: always inlined, as `std::array::from_fn` and
+/// `map` are not. A vector operation that is not inlined into the function that dispatched it becomes a call
+/// through memory.
 macro_rules! array {
     ($k:ident => $value:expr) => {
         $crate::cpu::simd::array_from(
@@ -37,12 +39,15 @@ pub(crate) fn array_from<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T)
     out
 }
 
-/// Asks the machine to bring a value into its first-level cache, without waiting for it: splats and gradient rows are
-/// read in an order that no hardware prefetcher can guess.
+/// Asks the machine to bring a value into its first-level cache, without waiting for it: splats and gradient
+/// rows are read in an order that no hardware prefetcher can guess.
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]
-    #[expect(unsafe_code, reason = "a prefetch of a valid reference reads nothing; the intrinsic wants a raw pointer")]
+    #[expect(
+        unsafe_code,
+        reason = "a prefetch of a valid reference reads nothing; the intrinsic wants a raw pointer"
+    )]
     unsafe {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());
@@ -64,7 +69,8 @@ pub(crate) fn exp2<S: Simd>(x: V<S>) -> V<S> {
     exp2_by(&POLYNOMIAL, x)
 }
 
-/// The same with a relative error below 3e-6, for alphas: these are compared with 1/255, and pictures have 8 bits.
+/// The same with a relative error below 3e-6, for alphas: these are compared with 1/255, and pictures have 8
+/// bits.
 #[inline(always)]
 pub(crate) fn exp2_of_alpha<S: Simd>(x: V<S>) -> V<S> {
     const POLYNOMIAL: [f32; 5] = [0.999_999_26, 0.693_121_8, 0.240_247_45, 0.055_917_86, 0.009_570_102];

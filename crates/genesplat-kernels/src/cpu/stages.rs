@@ -1,8 +1,9 @@
-//! The stages of a step in pieces, for a backend that holds some rows of a cloud and draws a band of each picture: what
-//! [`CpuBackend`](super::CpuBackend) does with a whole cloud and a whole picture.
+//! The stages of a step in pieces, for a backend that holds some rows of a cloud and draws a band of each
+//! picture: what [`CpuBackend`](super::CpuBackend) does with a whole cloud and a whole picture.
 //!
-//! The numbers are the same to the bit, provided that shares of rows begin at a multiple of [`ROWS_TOGETHER`], that splats
-//! are drawn in the order of their rows, and that sums are taken in the order of the picture.
+//! The numbers are the same to the bit, provided that shares of rows begin at a multiple of
+//! [`ROWS_TOGETHER`], that splats are drawn in the order of their rows, and that sums are taken in the order
+//! of the picture.
 
 pub use fearless_simd::Level;
 

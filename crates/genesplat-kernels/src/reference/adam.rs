@@ -1,5 +1,5 @@
-//! Stage `adam`: Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups. It is
-//! dense: rows without a gradient keep moving on their momentum, as in 3DGS.
+//! Stage `adam`: Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups.
+//! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS.
 
 use genesplat_core::Update;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};

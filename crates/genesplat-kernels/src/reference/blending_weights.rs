@@ -5,8 +5,8 @@ use genesplat_core::{Camera, RenderSettings};
 use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, background, render, size};
 
-/// `Σ α·T·m` over all pixels of a `map` `[H, W]`, as `camera` sees the cloud `[N]`: the gradient of each Gaussian's red,
-/// where that of the image's red is the map.
+/// `Σ α·T·m` over all pixels of a `map` `[H, W]`, as `camera` sees the cloud `[N]`: the gradient of each
+/// Gaussian's red, where that of the image's red is the map.
 pub fn blending_weights(
     cloud: &Cloud64,
     camera: &Camera,
@@ -17,7 +17,8 @@ pub fn blending_weights(
     let rendered = render(cloud, camera, settings, cutoff);
     let mut by_image = map.to_vec();
     by_image.resize(rendered.picture.image.len(), 0.0);
-    let by_splats = rasterise_backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
+    let by_splats =
+        rasterise_backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
     let mut sums = vec![0.0; cloud.len()];
     for (splat, by_splat) in rendered.splats.iter().zip(&by_splats) {
         sums[splat.row] = by_splat.colour[0];

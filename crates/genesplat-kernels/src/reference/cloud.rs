@@ -3,7 +3,8 @@
 use genesplat_core::Gaussians;
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 
-/// A cloud of `N` Gaussians in f64, raw as in [`Gaussians`]. Gradients and Adam's moments have the same shape.
+/// A cloud of `N` Gaussians in f64, raw as in [`Gaussians`]. Gradients and Adam's moments have the same
+/// shape.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud64 {
     /// Means, world units `[N, 3]`.

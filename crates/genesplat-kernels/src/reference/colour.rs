@@ -1,9 +1,12 @@
 //! Stage `colour`: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per channel.
 
-use genesplat_core::spherical_harmonics::{C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients, sh_index};
+use genesplat_core::spherical_harmonics::{
+    C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients, sh_index,
+};
 use glam::DVec3;
 
-/// Colour of a Gaussian at `offset` (mean − camera centre, world axes), from its coefficients `[16, 3 channels]`.
+/// Colour of a Gaussian at `offset` (mean − camera centre, world axes), from its coefficients `[16, 3
+/// channels]`.
 pub fn colour(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
     unclamped(sh, offset, degree).map(|value| if value < 0.0 { 0.0 } else { value })
 }

@@ -1,7 +1,7 @@
 //! A Gaussian's own shape in the world: `Σ = R diag(s² + f²) Rᵀ`, and the way back to scales and quaternion.
 //!
-//! `f` is Mip-Splatting's 3D smoothing filter (zero for every other variant). It widens each axis and dims the
-//! Gaussian by `Π s / sqrt(s² + f²)`, so that the integral along any axis is kept.
+//! `f` is Mip-Splatting's 3D smoothing filter (zero for every other variant). It widens each axis and dims
+//! the Gaussian by `Π s / sqrt(s² + f²)`, so that the integral along any axis is kept.
 
 use glam::{DMat3, DVec3};
 
@@ -35,8 +35,11 @@ impl Shape {
         let filter = cloud.filter_3d.as_ref().map_or(0.0, |filter| filter[row]);
         let unfiltered_variances = scales * scales;
         let variances = unfiltered_variances + filter * filter;
-        let opacity_factor =
-            if filter == 0.0 { 1.0 } else { (0..3).map(|k| (unfiltered_variances[k] / variances[k]).sqrt()).product() };
+        let opacity_factor = if filter == 0.0 {
+            1.0
+        } else {
+            (0..3).map(|k| (unfiltered_variances[k] / variances[k]).sqrt()).product()
+        };
         Self {
             world_from_own: rotation_matrix(quaternion),
             variances,

@@ -1,8 +1,8 @@
 //! Where a splat stops touching a pixel, and where a pixel is finished.
 //!
-//! The published rasteriser steps from 0 to alpha = 1/255, so its picture jumps as parameters move, and no finite
-//! difference can agree with its gradient. Tests therefore render with [`Cutoff::Smooth`]: the same code, but alpha
-//! rises from zero over `[1/255, 2/255]` and no pixel finishes early.
+//! The published rasteriser steps from 0 to alpha = 1/255, so its picture jumps as parameters move, and no
+//! finite difference can agree with its gradient. Tests therefore render with [`Cutoff::Smooth`]: the same
+//! code, but alpha rises from zero over `[1/255, 2/255]` and no pixel finishes early.
 
 use genesplat_core::constants::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 
@@ -21,7 +21,8 @@ pub enum Cutoff {
 pub struct Alpha {
     /// In `(0, 0.99]`.
     pub value: f64,
-    /// Derivative by `opacity · exp(power)`. The clamp at 0.99 passes gradients straight through, as published.
+    /// Derivative by `opacity · exp(power)`. The clamp at 0.99 passes gradients straight through, as
+    /// published.
     pub slope: f64,
 }
 

@@ -1,7 +1,9 @@
-//! Stage `loss`: Eq. 5 of the evolution paper, which is Eq. 7 of 3DGS: `0.8 · L1 + 0.2 · (1 − SSIM)`, and its gradient.
+//! Stage `loss`: Eq. 5 of the evolution paper, which is Eq. 7 of 3DGS: `0.8 · L1 + 0.2 · (1 − SSIM)`, and its
+//! gradient.
 //!
-//! SSIM (Wang et al. 2004) uses an 11 x 11 Gaussian window of 1.5 px per channel, zeros outside the image (so border
-//! pixels are darkened alike in both), variances as `E[x²] − μ²`, and the mean over all pixels and channels.
+//! SSIM (Wang et al. 2004) uses an 11 x 11 Gaussian window of 1.5 px per channel, zeros outside the image (so
+//! border pixels are darkened alike in both), variances as `E[x²] − μ²`, and the mean over all pixels and
+//! channels.
 
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 use genesplat_core::{Mask, Photo, View};
@@ -14,12 +16,13 @@ pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
     let (l1, l1_gradient) = l1(image, &target);
     let (ssim, ssim_gradient) = ssim(image, &target, [photo.width, photo.height]);
     let lambda = f64::from(LAMBDA_DSSIM);
-    let gradient = l1_gradient.iter().zip(&ssim_gradient).map(|(a, s)| (1.0 - lambda) * a - lambda * s).collect();
+    let gradient =
+        l1_gradient.iter().zip(&ssim_gradient).map(|(a, s)| (1.0 - lambda) * a - lambda * s).collect();
     ((1.0 - lambda) * l1 + lambda * (1.0 - ssim), gradient)
 }
 
-/// The same against the photo of `view`, where its mask has it: elsewhere render and photo are equal, and nothing has a
-/// gradient.
+/// The same against the photo of `view`, where its mask has it: elsewhere render and photo are equal, and
+/// nothing has a gradient.
 ///
 /// # Panics
 /// Where the photo is lost.
@@ -94,15 +97,21 @@ fn blur(values: &[f64], width: usize) -> Vec<f64> {
 }
 
 /// One-dimensional window along the axis of length `length`; `index(along, across)` addresses the values.
-fn blur_along(values: &[f64], length: usize, lines: usize, index: impl Fn(usize, usize) -> usize) -> Vec<f64> {
+fn blur_along(
+    values: &[f64],
+    length: usize,
+    lines: usize,
+    index: impl Fn(usize, usize) -> usize,
+) -> Vec<f64> {
     let window = ssim_window();
     let mut blurred = vec![0.0; values.len()];
     for across in 0..lines {
         for along in 0..length {
             let first = along.saturating_sub(SSIM_RADIUS);
             let last = (along + SSIM_RADIUS).min(length - 1);
-            blurred[index(along, across)] =
-                (first..=last).map(|tap| window[tap + SSIM_RADIUS - along] * values[index(tap, across)]).sum();
+            blurred[index(along, across)] = (first..=last)
+                .map(|tap| window[tap + SSIM_RADIUS - along] * values[index(tap, across)])
+                .sum();
         }
     }
     blurred

@@ -1,10 +1,12 @@
-//! The f64 reference: every stage once more, scalar and without tiles, as close to the formulas as code can be.
+//! The f64 reference: every stage once more, scalar and without tiles, as close to the formulas as code can
+//! be.
 //!
-//! It is the oracle that the other backends are tested against, and its own gradients are tested against finite
-//! differences. Each stage has one file, under the name that it has in every backend.
+//! It is the oracle that the other backends are tested against, and its own gradients are tested against
+//! finite differences. Each stage has one file, under the name that it has in every backend.
 //!
-//! Formulas: Zwicker et al. 2001 (EWA splatting), Kerbl et al. 2023 (3DGS), Yu et al. 2024 (Mip-Splatting), Zhang et
-//! al. 2024 (Pixel-GS). Where released code departs from its own formulas, the module concerned says what is followed.
+//! Formulas: Zwicker et al. 2001 (EWA splatting), Kerbl et al. 2023 (3DGS), Yu et al. 2024 (Mip-Splatting),
+//! Zhang et al. 2024 (Pixel-GS). Where released code departs from its own formulas, the module concerned says
+//! what is followed.
 
 pub mod adam;
 pub mod blending_weights;
@@ -107,7 +109,8 @@ pub fn backward(
         let row = splat.row;
         project_backward(cloud, camera, settings, splat, by_splat, &mut gradients.cloud);
         gradients.mean2d_ndc[row] = std::array::from_fn(|axis| by_splat.mean_px[axis] * half_size[axis]);
-        gradients.mean2d_abs_ndc[row] = std::array::from_fn(|axis| by_splat.mean_abs_px[axis] * half_size[axis]);
+        gradients.mean2d_abs_ndc[row] =
+            std::array::from_fn(|axis| by_splat.mean_abs_px[axis] * half_size[axis]);
         gradients.pixels[row] = by_splat.pixels;
         gradients.depth[row] = splat.depth;
         gradients.radius_px[row] = splat.radius_px;
@@ -117,7 +120,12 @@ pub fn backward(
 }
 
 /// Render, loss, backward: one training step without the optimiser.
-pub fn gradients(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> (f64, Gradients) {
+pub fn gradients(
+    cloud: &Cloud64,
+    view: &View,
+    settings: &RenderSettings,
+    cutoff: Cutoff,
+) -> (f64, Gradients) {
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let (loss, by_image) = loss_of_view(&rendered.picture.image, view);
     let mut gradients = backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image);

@@ -1,8 +1,8 @@
-//! Stage `noise`: what 3DGS-MCMC adds to an optimiser step: regularisers of opacity and scale before it, SGLD noise
-//! after it.
+//! Stage `noise`: what 3DGS-MCMC adds to an optimiser step: regularisers of opacity and scale before it, SGLD
+//! noise after it.
 //!
-//! Each mean walks at random within its own covariance, the more the fainter the Gaussian is. Reference: Kheradmand et
-//! al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024.
+//! Each mean walks at random within its own covariance, the more the fainter the Gaussian is. Reference:
+//! Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024.
 
 use genesplat_core::Stream;
 use genesplat_core::backend::McmcStep;

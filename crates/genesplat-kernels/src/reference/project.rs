@@ -1,8 +1,9 @@
-//! Stage `project`: from a Gaussian in the world to a splat on the screen (Zwicker et al. 2001, as 3DGS does it).
+//! Stage `project`: from a Gaussian in the world to a splat on the screen (Zwicker et al. 2001, as 3DGS does
+//! it).
 //!
-//! The covariance goes through the pinhole's Jacobian at the mean, `Σ' = U Σ Uᵀ` with `U = J · R`. `J` is taken at an
-//! `x/z` and `y/z` clamped to 1.3 times the half field of view, because far outside the image the linearisation
-//! explodes; the mean itself is never clamped.
+//! The covariance goes through the pinhole's Jacobian at the mean, `Σ' = U Σ Uᵀ` with `U = J · R`. `J` is
+//! taken at an `x/z` and `y/z` clamped to 1.3 times the half field of view, because far outside the image the
+//! linearisation explodes; the mean itself is never clamped.
 
 use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT};
 use genesplat_core::{Camera, RenderSettings};
@@ -68,8 +69,9 @@ pub struct Splat {
     pub colour: [f64; 3],
     /// Half sides of the box of alpha ≥ 1/255, px; zeros for a splat too faint to touch any pixel.
     pub extent_px: [f64; 2],
-    /// 3DGS's radius: `ceil(3 sqrt(λ))` with `λ` its estimate of the larger eigenvalue; 0 when the square of that
-    /// radius meets no 16 x 16 tile. It does not cut the splat; it decides which views count in the density statistics.
+    /// 3DGS's radius: `ceil(3 sqrt(λ))` with `λ` its estimate of the larger eigenvalue; 0 when the square of
+    /// that radius meets no 16 x 16 tile. It does not cut the splat; it decides which views count in the
+    /// density statistics.
     pub radius_px: u32,
 }
 
@@ -133,7 +135,8 @@ fn jacobian_rows(camera: &Camera, z: f64, slopes: [f64; 2]) -> [DVec3; 2] {
     [DVec3::new(fx / z, 0.0, -fx * slopes[0] / z), DVec3::new(0.0, fy / z, -fy * slopes[1] / z)]
 }
 
-/// Projects a row of the cloud; `None` when it is not in front of the camera, or anything about it is not finite.
+/// Projects a row of the cloud; `None` when it is not in front of the camera, or anything about it is not
+/// finite.
 pub fn project(cloud: &Cloud64, row: usize, camera: &Camera, settings: &RenderSettings) -> Option<Splat> {
     let geometry = Geometry::new(cloud, row, camera);
     if geometry.point.z <= camera.near {
@@ -173,7 +176,8 @@ fn is_sound(splat: &Splat) -> bool {
             .all(|value| value.is_finite())
 }
 
-/// Half sides of the box of alpha ≥ 1/255: `dᵀ Q d ≤ r²` with `r² = 2 ln(255 · opacity)` reaches `r sqrt(Σ'_kk)`.
+/// Half sides of the box of alpha ≥ 1/255: `dᵀ Q d ≤ r²` with `r² = 2 ln(255 · opacity)` reaches `r
+/// sqrt(Σ'_kk)`.
 fn extent_px(covariance_px: &Symmetric2, opacity: f64) -> [f64; 2] {
     let squared_radius = 2.0 * (opacity / f64::from(ALPHA_MIN)).ln();
     if squared_radius < 0.0 {
@@ -194,5 +198,9 @@ fn published_radius_px(splat: &Splat, camera: &Camera) -> u32 {
         let end = ((mean + radius + PUBLISHED_TILE_PX - 1.0) / PUBLISHED_TILE_PX).trunc().clamp(0.0, tiles);
         first < end
     };
-    if meets(splat.mean_px[0], camera.width) && meets(splat.mean_px[1], camera.height) { radius as u32 } else { 0 }
+    if meets(splat.mean_px[0], camera.width) && meets(splat.mean_px[1], camera.height) {
+        radius as u32
+    } else {
+        0
+    }
 }

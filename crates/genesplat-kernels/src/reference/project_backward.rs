@@ -1,8 +1,8 @@
 //! Stage `project_backward`: from the gradients of a splat back to the parameters of its Gaussian.
 //!
-//! Every derivative is the true one. The published kernel differs in three places: it stabilises the conic's inverse
-//! with 1e-7, it differentiates the Jacobian by depth as if `x/z` were never clamped, and Mip-Splatting's compensation
-//! carries extra epsilons.
+//! Every derivative is the true one. The published kernel differs in three places: it stabilises the conic's
+//! inverse with 1e-7, it differentiates the Jacobian by depth as if `x/z` were never clamped, and
+//! Mip-Splatting's compensation carries extra epsilons.
 
 use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};
@@ -31,15 +31,21 @@ pub fn project_backward(
 
     let slope = filtered.compensation_slope;
     let by_covariance_px = by_covariance(&splat.conic, &by_splat.conic)
-        + Symmetric2 { xx: by_compensation * slope.xx, xy: by_compensation * slope.xy, yy: by_compensation * slope.yy };
+        + Symmetric2 {
+            xx: by_compensation * slope.xx,
+            xy: by_compensation * slope.xy,
+            yy: by_compensation * slope.yy,
+        };
     let (by_covariance, by_screen_rows) = through_projection(&geometry, &by_covariance_px);
-    let (by_log_scale, by_rotation) = geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
+    let (by_log_scale, by_rotation) =
+        geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
 
     let position = DVec3::from_array(cloud.positions[row]);
     let offset = position - camera.centre_in_world();
-    let (by_sh, by_direction) = colour::colour_backward(&cloud.sh[row], offset, settings.sh_degree, by_splat.colour);
-    let by_point =
-        through_pinhole(&geometry, camera, by_splat.mean_px) + through_jacobian(&geometry, camera, by_screen_rows);
+    let (by_sh, by_direction) =
+        colour::colour_backward(&cloud.sh[row], offset, settings.sh_degree, by_splat.colour);
+    let by_point = through_pinhole(&geometry, camera, by_splat.mean_px)
+        + through_jacobian(&geometry, camera, by_screen_rows);
     gradient.positions[row] = (camera.rotation().transpose() * by_point + by_direction).to_array();
     gradient.log_scales[row] = by_log_scale;
     gradient.rotations[row] = by_rotation;
@@ -62,7 +68,8 @@ fn by_covariance(conic: &Symmetric2, by_conic: &Symmetric2) -> Symmetric2 {
 fn through_projection(geometry: &Geometry, by: &Symmetric2) -> (DMat3, [DVec3; 2]) {
     let [u, v] = geometry.screen_rows;
     let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
-    let by_covariance = outer(u, u) * by.xx + (outer(u, v) + outer(v, u)) * (0.5 * by.xy) + outer(v, v) * by.yy;
+    let by_covariance =
+        outer(u, u) * by.xx + (outer(u, v) + outer(v, u)) * (0.5 * by.xy) + outer(v, v) * by.yy;
     let (along_u, along_v) = (geometry.covariance * u, geometry.covariance * v);
     let by_rows = [along_u * (2.0 * by.xx) + along_v * by.xy, along_u * by.xy + along_v * (2.0 * by.yy)];
     (by_covariance, by_rows)
@@ -75,7 +82,8 @@ fn through_pinhole(geometry: &Geometry, camera: &Camera, by_mean_px: [f64; 2]) -
     DVec3::new(by_u / z, by_v / z, -(by_u * x + by_v * y) / (z * z))
 }
 
-/// The covariance's path: the Jacobian's entries `f/z` and `−f·slope/z` move with the mean. In camera coordinates.
+/// The covariance's path: the Jacobian's entries `f/z` and `−f·slope/z` move with the mean. In camera
+/// coordinates.
 fn through_jacobian(geometry: &Geometry, camera: &Camera, by_screen_rows: [DVec3; 2]) -> DVec3 {
     let z = geometry.point.z;
     let mut by_point = DVec3::ZERO;

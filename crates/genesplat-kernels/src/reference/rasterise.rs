@@ -1,8 +1,8 @@
 //! Stage `rasterise`: blends splats front to back.
 //!
 //! Per pixel `p` and splat `i` in depth order: `α = min(0.99, o exp(−½ dᵀ Q d))` with `d = mean − p`,
-//! `C += c α T`, `T ← T (1 − α)`; what is left at the end shows the background. There is no cut at three standard
-//! deviations: every pixel where alpha reaches 1/255 counts.
+//! `C += c α T`, `T ← T (1 − α)`; what is left at the end shows the background. There is no cut at three
+//! standard deviations: every pixel where alpha reaches 1/255 counts.
 
 use super::cutoff::Cutoff;
 use super::project::{Splat, Symmetric2};
@@ -34,13 +34,19 @@ pub(super) struct Blended {
 }
 
 /// Draws depth-sorted splats (front first) over `background`.
-pub fn rasterise(splats: &[Splat], [width, height]: [u32; 2], background: [f64; 3], cutoff: Cutoff) -> Picture64 {
+pub fn rasterise(
+    splats: &[Splat],
+    [width, height]: [u32; 2],
+    background: [f64; 3],
+    cutoff: Cutoff,
+) -> Picture64 {
     let pixels = width as usize * height as usize;
     let mut picture = Picture64 { image: vec![0.0; 3 * pixels], transmittance: vec![0.0; pixels] };
     for_each_pixel(splats, [width, height], cutoff, |pixel, blended, transmittance| {
         picture.transmittance[pixel] = transmittance;
         for channel in 0..3 {
-            let light: f64 = blended.iter().map(|c| splats[c.splat].colour[channel] * c.alpha * c.transmittance).sum();
+            let light: f64 =
+                blended.iter().map(|c| splats[c.splat].colour[channel] * c.alpha * c.transmittance).sum();
             picture.image[channel * pixels + pixel] = light + transmittance * background[channel];
         }
     });

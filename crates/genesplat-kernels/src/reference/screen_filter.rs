@@ -1,8 +1,9 @@
-//! Dilation of a projected covariance, and the dimming that makes up for it (Kerbl et al. 2023; Yu et al. 2024, section
+//! Dilation of a projected covariance, and the dimming that makes up for it (Kerbl et al. 2023; Yu et al.
+//! 2024, section
 //! 5.2; constants of their released code).
 //!
-//! Derivatives are the true ones. Mip-Splatting's released backward adds 1e-6 to some denominators, and 3DGS's
-//! antialiasing differentiates the wrong determinant; neither is followed.
+//! Derivatives are the true ones. Mip-Splatting's released backward adds 1e-6 to some denominators, and
+//! 3DGS's antialiasing differentiates the wrong determinant; neither is followed.
 
 use genesplat_core::ScreenFilter;
 
@@ -11,7 +12,8 @@ use super::project::Symmetric2;
 /// Floor of the determinant ratio under the square root of 3DGS's antialiasing.
 const ANTIALIASED_RATIO_MIN: f64 = 2.5e-5;
 
-/// Mip-Splatting's stabiliser: floor of both determinants (px⁴), at which a splat vanishes, and addend elsewhere.
+/// Mip-Splatting's stabiliser: floor of both determinants (px⁴), at which a splat vanishes, and addend
+/// elsewhere.
 const MIP_EPSILON: f64 = 1e-6;
 
 /// A filtered covariance.

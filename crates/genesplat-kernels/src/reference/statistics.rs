@@ -1,8 +1,8 @@
 //! What one training view adds to the sums that density control and evolution read.
 //!
-//! For density control, a view counts for every Gaussian that 3DGS would call visible in it (`radius_px > 0`), even
-//! without a gradient: the published thresholds were tuned to that. For the genes it counts where the Gaussian reaches
-//! the image.
+//! For density control, a view counts for every Gaussian that 3DGS would call visible in it (`radius_px >
+//! 0`), even without a gradient: the published thresholds were tuned to that. For the genes it counts where
+//! the Gaussian reaches the image.
 
 use genesplat_core::{DensitySignal, GENES, StatisticsRequest};
 

@@ -125,8 +125,8 @@ fn nth(cloud: &mut Cloud64, group: usize) -> &mut [f64] {
     columns.into_iter().nth(group).expect("one of five groups").1
 }
 
-/// Compares two columns: their difference relative to the column's norm, and entry by entry where an entry is at
-/// least a thousandth of the largest. `Err` names the worst offender.
+/// Compares two columns: their difference relative to the column's norm, and entry by entry where an entry is
+/// at least a thousandth of the largest. `Err` names the worst offender.
 pub(crate) fn compare(name: &str, expected: &[f64], actual: &[f64], tolerance: f64) -> Result<(), String> {
     if expected.len() != actual.len() {
         return Err(format!("{name}: {} values instead of {}", actual.len(), expected.len()));

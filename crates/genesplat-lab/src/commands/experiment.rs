@@ -31,7 +31,8 @@ const TABLES: &str = "tables.md";
 
 const FIGURES: [&str; 4] = [TABLES, "costs.md", "cells.csv", "report.html"];
 
-/// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
+/// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has
+/// failed.
 pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
@@ -90,8 +91,11 @@ fn list(runner: &Runner<'_>) -> Result<Ending> {
     output::forget_notes();
     runner.check_folders()?;
     let states = runner.states()?;
-    let finished: Vec<Cell> =
-        states.iter().filter(|(_, state)| matches!(state, State::Finished(_))).map(|(cell, _)| *cell).collect();
+    let finished: Vec<Cell> = states
+        .iter()
+        .filter(|(_, state)| matches!(state, State::Finished(_)))
+        .map(|(cell, _)| *cell)
+        .collect();
     for (number, (cell, state)) in (1..).zip(states) {
         let its_arm = runner.experiment.arms[cell.arm].control_of.map(|arm| Cell { arm, ..cell });
         let state = match state {
@@ -109,7 +113,10 @@ fn list(runner: &Runner<'_>) -> Result<Ending> {
 fn run_cell(runner: &Runner<'_>, number: usize) -> Result<Ending> {
     let cells = runner.experiment.cells();
     let Some(&cell) = number.checked_sub(1).and_then(|index| cells.get(index)) else {
-        bail!("--cell {number} is not there: the experiment has the runs 1 to {} (--list shows them)", cells.len());
+        bail!(
+            "--cell {number} is not there: the experiment has the runs 1 to {} (--list shows them)",
+            cells.len()
+        );
     };
     let Ran { results, mut failures } = runner.run(Some(cell))?;
     if let Some(failure) = failures.pop() {
@@ -120,7 +127,9 @@ fn run_cell(runner: &Runner<'_>, number: usize) -> Result<Ending> {
     }
     if let Some(arm) = runner.waits_for(cell, &results) {
         let its = cells.iter().position(|other| *other == arm).map_or(0, |index| index + 1);
-        bail!("run {number} is a control, and spends the seconds that run {its} has taken; make that one first");
+        bail!(
+            "run {number} is a control, and spends the seconds that run {its} has taken; make that one first"
+        );
     }
     output::print(&format!("stopped: run {number} is not finished; the same command goes on with it"))?;
     Ok(Ending::Stopped)
@@ -179,7 +188,8 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
         output::tell(&notice);
     }
     // First, since it tells whose the others are.
-    let described = (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
+    let described =
+        (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
     let files: Vec<_> = std::iter::once(described).chain(FIGURES.into_iter().zip(texts)).collect();
     files.iter().try_for_each(|(name, text)| files::write_own_text(runner.out, name, text))?;
     output::print(&format!("{text}{seconds}"))?;

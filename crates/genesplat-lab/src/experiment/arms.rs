@@ -1,7 +1,7 @@
 //! What an experiment compares: arms, their settings, and the equal-time controls that stand beside them.
 //!
-//! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a `kind` or a
-//! `name` replaces the other, since kinds and methods have keys of their own.
+//! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a
+//! `kind` or a `name` replaces the other, since kinds and methods have keys of their own.
 
 use anyhow::{Result, bail, ensure};
 use toml::{Table, Value};
@@ -133,10 +133,14 @@ fn check_word(name: &str) -> Result<()> {
 impl ExperimentFile {
     /// The arms of `search`, then those of `arms`.
     fn all_arms(&self) -> Vec<ArmTable> {
-        let named = self.search.iter().filter(|search| **search != Search::Control).map(|search| search_arm(*search));
+        let named =
+            self.search.iter().filter(|search| **search != Search::Control).map(|search| search_arm(*search));
         let own: Vec<ArmTable> = named.chain(self.arms.iter().cloned()).collect();
-        let controlled: Vec<&str> =
-            own.iter().filter(|arm| arm.control_of.is_none() && searches(arm)).map(|arm| arm.name.as_str()).collect();
+        let controlled: Vec<&str> = own
+            .iter()
+            .filter(|arm| arm.control_of.is_none() && searches(arm))
+            .map(|arm| arm.name.as_str())
+            .collect();
         let of_search = |search: &Search| match search {
             Search::Control => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
             search => vec![search_arm(*search)],
@@ -236,7 +240,11 @@ mod tests {
         assert_eq!((search.population, search.crossover), (50, genesplat::evolve::Crossover::Uniform));
         assert_eq!(control.method, one.method);
         let each = StepBudget::Seconds(10.0 / 7.0);
-        assert_eq!((&control.genetic, control.extra_steps), (&None, Some(each)), "ten seconds in all, at seven resets");
+        assert_eq!(
+            (&control.genetic, control.extra_steps),
+            (&None, Some(each)),
+            "ten seconds in all, at seven resets"
+        );
     }
 
     #[test]
@@ -262,8 +270,9 @@ mod tests {
 
     #[test]
     fn what_would_make_all_arms_the_same_is_refused() {
-        let refusal =
-            |text: &str| Experiment::new(file(&format!("search = [\"off\"]\n{text}"))).unwrap_err().to_string();
+        let refusal = |text: &str| {
+            Experiment::new(file(&format!("search = [\"off\"]\n{text}"))).unwrap_err().to_string()
+        };
         for named in ["config.method = \"mcmc\"", "config.method = { name = \"mcmc\" }"] {
             assert!(refusal(named).contains("list it in `methods`"), "{}", refusal(named));
         }

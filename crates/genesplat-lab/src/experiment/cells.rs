@@ -38,7 +38,8 @@ impl Runner<'_> {
     }
 
     /// Finished cells and checkpoints of another experiment, or of another version of this program, are not
-    /// overwritten. A control is no cell of another experiment just because the arm that it controls was run again.
+    /// overwritten. A control is no cell of another experiment just because the arm that it controls was run
+    /// again.
     pub(crate) fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {
@@ -87,7 +88,8 @@ impl Runner<'_> {
     /// Neither do tables mix runs of different photos, cameras or points, finished or not.
     fn check_inputs(&self) -> Result<()> {
         let mut first: Option<(Cell, Inputs)> = None;
-        let is_kept = |cell: &Cell| self.whole_metrics(*cell).is_some() || has_checkpoint(&self.folder(*cell));
+        let is_kept =
+            |cell: &Cell| self.whole_metrics(*cell).is_some() || has_checkpoint(&self.folder(*cell));
         let mut unknown = 0;
         for cell in self.experiment.cells().into_iter().filter(is_kept) {
             let folder = self.folder(cell);
@@ -124,7 +126,8 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// A cell is compared with those of its scene that are finished, so they have to have had the same photos.
+    /// A cell is compared with those of its scene that are finished, so they have to have had the same
+    /// photos.
     pub(crate) fn check_partners(&self, cell: Cell, scene: &Scene) -> Result<()> {
         let partners = self.experiment.cells().into_iter().filter(|other| other.scene == cell.scene);
         partners
@@ -138,8 +141,8 @@ impl Runner<'_> {
         (metrics.iterations == self.experiment.iterations(cell)).then_some(metrics)
     }
 
-    /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name,
-    /// the bundled one by its options, too.
+    /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by
+    /// its name, the bundled one by its options, too.
     fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
         let is_bundled = self.experiment.file.scenes[cell.scene] == BUNDLED;
         let differs = config.difference(settings, if is_bundled { 2 } else { 1 });
@@ -169,9 +172,22 @@ mod tests {
         Experiment::new(toml::from_str(&format!("{text}{more}")).unwrap()).unwrap()
     }
 
-    fn runner<'a>(experiment: &'a Experiment, out: &'a Path, data: &'a Path, stop: &'a AtomicBool) -> Runner<'a> {
+    fn runner<'a>(
+        experiment: &'a Experiment,
+        out: &'a Path,
+        data: &'a Path,
+        stop: &'a AtomicBool,
+    ) -> Runner<'a> {
         let machine = Machine { device: Some(DeviceChoice::Cpu), threads: None };
-        Runner { experiment, out, data: Some(data), machine, lpips: None, stop, has_gallery: AtomicBool::new(false) }
+        Runner {
+            experiment,
+            out,
+            data: Some(data),
+            machine,
+            lpips: None,
+            stop,
+            has_gallery: AtomicBool::new(false),
+        }
     }
 
     /// Settings and metrics of a finished run in the folder of each cell.
@@ -210,7 +226,8 @@ mod tests {
         ];
         for (more, words) in others {
             let other = experiment(more);
-            let refusal = runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
+            let refusal =
+                runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
             assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
         }
     }
@@ -294,6 +311,9 @@ mod tests {
         runner.check_folders().unwrap();
         fs::write(&metrics, "{\"psnr\": 30.0}").unwrap();
         let refusal = runner.check_folders().unwrap_err().to_string();
-        assert!(refusal.contains("not the figures of a run") && refusal.contains("metrics.json"), "{refusal}");
+        assert!(
+            refusal.contains("not the figures of a run") && refusal.contains("metrics.json"),
+            "{refusal}"
+        );
     }
 }

@@ -52,8 +52,8 @@ pub(crate) struct ExperimentFile {
     /// What stands where the published search would be, each an arm of that name.
     #[serde(default)]
     pub(crate) search: Vec<Search>,
-    /// Gradient steps of a control at each stage of its arm, in place of seconds, so that tables are the same wherever
-    /// they are made.
+    /// Gradient steps of a control at each stage of its arm, in place of seconds, so that tables are the same
+    /// wherever they are made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) control_steps: Option<u32>,
     /// How the bundled scene is photographed.
@@ -129,7 +129,8 @@ impl GalleryTable {
 pub(crate) struct ArmTable {
     /// A word for tables and folders.
     pub(crate) name: String,
-    /// The arm whose seconds of searching this one spends on gradient steps; it has that arm's settings otherwise.
+    /// The arm whose seconds of searching this one spends on gradient steps; it has that arm's settings
+    /// otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) control_of: Option<String>,
     #[serde(default)]
@@ -217,8 +218,15 @@ mod tests {
         };
         assert_eq!(arm("").1.len(), 4, "nothing is overridden");
         let (common, own) = arm("--iterations 18 --steps-scale 0.25");
-        assert_eq!((common["iterations"].as_integer(), common["steps_scale"].as_float()), (Some(18), Some(0.25)));
-        assert_eq!(own.keys().collect::<Vec<_>>(), ["iterations", "method", "seed_of"], "and what no flag speaks of");
+        assert_eq!(
+            (common["iterations"].as_integer(), common["steps_scale"].as_float()),
+            (Some(18), Some(0.25))
+        );
+        assert_eq!(
+            own.keys().collect::<Vec<_>>(),
+            ["iterations", "method", "seed_of"],
+            "and what no flag speaks of"
+        );
         assert_eq!(own["iterations"].as_integer(), Some(10), "5 for 9 of the others");
         assert_eq!(own["method"]["densify_until"].as_integer(), Some(8), "in the same part of the run");
     }

@@ -1,9 +1,9 @@
 //! Experiments: many runs that differ in one thing each, and the tables that compare them.
 //!
 //! An experiment is a matrix. Its scenes, methods and seeds are lists; its *arms* are what is compared (a
-//! method alone, with the search, with another setting, another method). One run of one arm is a *cell*, an ordinary
-//! run folder, and cells of the same scene, method and seed are *paired*: they share all random streams but those that
-//! their difference touches.
+//! method alone, with the search, with another setting, another method). One run of one arm is a *cell*, an
+//! ordinary run folder, and cells of the same scene, method and seed are *paired*: they share all random
+//! streams but those that their difference touches.
 //!
 //! ```text
 //! TOML -> Experiment -> [Cell] -> run folders -> Results -> [Table] -> Markdown, CSV, HTML

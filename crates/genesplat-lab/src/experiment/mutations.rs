@@ -1,7 +1,7 @@
 //! Files of experiments with random changes: what is read is a whole experiment or a sentence.
 //!
-//! The command's own crate cannot be linked to `fuzz/`, so the changes are made here, by lines, values and bytes.
-//! `GENESPLAT_MUTATIONS` is how many; without it, so many as a second takes.
+//! The command's own crate cannot be linked to `fuzz/`, so the changes are made here, by lines, values and
+//! bytes. `GENESPLAT_MUTATIONS` is how many; without it, so many as a second takes.
 
 use std::collections::HashSet;
 use std::path::{Component, Path};
@@ -110,12 +110,15 @@ fn check(experiment: &Experiment, text: &str) {
 
 #[test]
 fn a_changed_experiment_is_whole_or_a_sentence() {
-    let mutations = std::env::var("GENESPLAT_MUTATIONS").map_or(MUTATIONS, |count| count.parse().expect("a count"));
+    let mutations =
+        std::env::var("GENESPLAT_MUTATIONS").map_or(MUTATIONS, |count| count.parse().expect("a count"));
     let (mut accepted, mut sentences) = (0, HashSet::new());
     for file in 0..mutations {
         let text = mutated(&mut Draws { rng: Rng::new(22), file, made: 0 });
         let read = toml::from_str::<ExperimentFile>(&text);
-        match read.map_err(|error| error.to_string()).and_then(|file| Experiment::new(file).map_err(|e| e.to_string()))
+        match read
+            .map_err(|error| error.to_string())
+            .and_then(|file| Experiment::new(file).map_err(|e| e.to_string()))
         {
             Ok(experiment) => {
                 accepted += 1;
@@ -128,5 +131,9 @@ fn a_changed_experiment_is_whole_or_a_sentence() {
         }
     }
     // Changes that all come to the same would test nothing.
-    assert!(accepted > mutations / 20 && sentences.len() > 100, "{accepted} accepted, {} errors", sentences.len());
+    assert!(
+        accepted > mutations / 20 && sentences.len() > 100,
+        "{accepted} accepted, {} errors",
+        sentences.len()
+    );
 }

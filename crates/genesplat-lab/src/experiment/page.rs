@@ -41,7 +41,13 @@ fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
 }
 
 /// The page of the experiment in the folder `out`; `command` repeats it.
-pub(crate) fn to_html(results: &Results<'_>, out: &Path, tables: &Tables, pages: &[Page], command: &str) -> String {
+pub(crate) fn to_html(
+    results: &Results<'_>,
+    out: &Path,
+    tables: &Tables,
+    pages: &[Page],
+    command: &str,
+) -> String {
     let (experiment, file) = (results.experiment, &results.experiment.file);
     let cells = experiment.cells();
     let mut page = Html::new();
@@ -110,7 +116,8 @@ fn write_pictures(page: &mut Html, pages: &[Page]) {
 fn link(path: &Path) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
     let encode = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
-    let encoded = |part: Component| part.as_os_str().to_string_lossy().bytes().map(encode).collect::<String>();
+    let encoded =
+        |part: Component| part.as_os_str().to_string_lossy().bytes().map(encode).collect::<String>();
     path.components().map(encoded).collect::<Vec<_>>().join("/")
 }
 

@@ -20,7 +20,8 @@ pub(crate) const CELLS: &str = "cells";
 
 /// The scene that needs no folder.
 pub(crate) const BUNDLED: &str = "gallery";
-/// One run, by indices into the lists of an [`Experiment`]: `file.scenes`, `file.methods`, `arms`, `file.seeds`.
+/// One run, by indices into the lists of an [`Experiment`]: `file.scenes`, `file.methods`, `arms`,
+/// `file.seeds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cell {
     pub(crate) scene: usize,
@@ -75,8 +76,8 @@ impl Experiment {
         Ok(())
     }
 
-    /// Scene by scene, so that each is loaded once, pairs together, and a control after the cell whose seconds it
-    /// spends.
+    /// Scene by scene, so that each is loaded once, pairs together, and a control after the cell whose
+    /// seconds it spends.
     pub(crate) fn cells(&self) -> Vec<Cell> {
         let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
         order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
@@ -95,7 +96,8 @@ impl Experiment {
     pub(crate) fn scene_path(&self, scene: usize, data: Option<&Path>, out: &Path) -> PathBuf {
         let name = &self.file.scenes[scene];
         if name == BUNDLED {
-            // The options are in the path, so that runs on another gallery are not taken for runs on this one.
+            // The options are in the path, so that runs on another gallery are not taken for runs on this
+            // one.
             let options = self.file.gallery.options();
             let kind = format!("{}x{}-{}-{}", options.width, options.height, options.views, options.points);
             return out.join("scenes").join(kind).join(BUNDLED);
@@ -111,7 +113,8 @@ impl Experiment {
             bail!("the experiment needs the scene {name}; give the folder that holds it as --data FOLDER");
         }
         let folder = data.unwrap_or(Path::new(""));
-        let missing: Vec<&str> = foreign.filter(|name| !folder.join(name).is_dir()).map(String::as_str).collect();
+        let missing: Vec<&str> =
+            foreign.filter(|name| !folder.join(name).is_dir()).map(String::as_str).collect();
         ensure!(
             missing.is_empty(),
             "{} has no folder called {}; put the scenes there, or take them out of the experiment",
@@ -182,7 +185,9 @@ impl Experiment {
 fn check_labels(scenes: &[String]) -> Result<()> {
     let nameless = scenes.iter().find(|scene| !is_file_name(scene_label(scene)));
     let Some(scene) = nameless else { return Ok(()) };
-    bail!("`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data")
+    bail!(
+        "`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data"
+    )
 }
 
 fn scene_label(scene: &str) -> &str {
@@ -227,7 +232,8 @@ mod tests {
         assert!(cells.is_sorted_by_key(|cell| (cell.scene, cell.method, cell.seed)));
         let last = experiment.folder(cells[35]);
         assert_eq!(last, Path::new("cells/b/pixel-gs/control/seed-9"));
-        let folders: std::collections::HashSet<_> = cells.iter().map(|&cell| experiment.folder(cell)).collect();
+        let folders: std::collections::HashSet<_> =
+            cells.iter().map(|&cell| experiment.folder(cell)).collect();
         assert_eq!(folders.len(), cells.len(), "no two cells share a folder");
     }
 
@@ -243,7 +249,10 @@ mod tests {
             ("scenes = [\"\"]\nseeds = [0]\nsearch = [\"off\"]", "`` cannot be"),
             ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\ndownscale = 0", "downscale is 0"),
             ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\nmax_side = 0", "max_side is 0"),
-            ("scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\nmax_side = 64\ndownscale = 2", "keep one of them"),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nsearch = [\"off\"]\nmax_side = 64\ndownscale = 2",
+                "keep one of them",
+            ),
             ("scenes = [\"a\", \"A\"]\nseeds = [0]\nsearch = [\"off\"]", "twice"),
             ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nsearch = [\"off\"]", "twice"),
             ("scenes = [\"a\"]\nseeds = [0]", "no arms"),

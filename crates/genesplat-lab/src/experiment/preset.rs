@@ -1,4 +1,5 @@
-//! The experiments that come with the program, which are files like any other, compiled in; and those from files.
+//! The experiments that come with the program, which are files like any other, compiled in; and those from
+//! files.
 
 use std::path::Path;
 
@@ -87,13 +88,21 @@ mod tests {
         let experiment = preset("study-evolution");
         for arm in experiment.arms.iter().filter(|arm| arm.name.starts_with("strong")) {
             let schedule = ConfigFile::from_table(arm.config.clone()).unwrap().train.resolve().unwrap();
-            assert_eq!(schedule.timeline().all(Event::ResetOpacity).collect::<Vec<_>>(), [3000], "{}", arm.name);
+            assert_eq!(
+                schedule.timeline().all(Event::ResetOpacity).collect::<Vec<_>>(),
+                [3000],
+                "{}",
+                arm.name
+            );
             let method = &schedule.config().method;
             assert_eq!((method.name, method.capacity), (MethodName::ThreeDgs, 1.0), "{}", arm.name);
             let (last, start) = (schedule.iterations, schedule.rates(1.0, 0).position);
             if arm.name == "strong-slow-averaged" {
                 let end = schedule.rates(1.0, last).position;
-                assert!((start / 4e-5 - 1.0).abs() < 1e-3 && (end / 2e-6 - 1.0).abs() < 1e-3, "{start} {end}");
+                assert!(
+                    (start / 4e-5 - 1.0).abs() < 1e-3 && (end / 2e-6 - 1.0).abs() < 1e-3,
+                    "{start} {end}"
+                );
             }
         }
     }

@@ -1,7 +1,8 @@
-//! Pages like the paper's Figures 2 and 3: photo, without, with, and the places where error fell most and rose most.
+//! Pages like the paper's Figures 2 and 3: photo, without, with, and the places where error fell most and
+//! rose most.
 //!
-//! Of the first seed, the test photo that gained most PSNR and the one that lost most are shown, so that no page shows
-//! successes only.
+//! Of the first seed, the test photo that gained most PSNR and the one that lost most are shown, so that no
+//! page shows successes only.
 
 use std::path::PathBuf;
 

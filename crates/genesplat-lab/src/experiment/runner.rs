@@ -1,7 +1,8 @@
 //! Runs the cells that are unfinished.
 //!
-//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a whole run. One
-//! that was interrupted goes on from its checkpoint, and anything else starts anew ([`super::cells`]).
+//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a
+//! whole run. One that was interrupted goes on from its checkpoint, and anything else starts anew
+//! ([`super::cells`]).
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -75,8 +76,9 @@ enum Reach {
 
 impl Reach {
     fn of(error: &anyhow::Error) -> Self {
-        let diverged =
-            |error: &BackendError| matches!(error, BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. });
+        let diverged = |error: &BackendError| {
+            matches!(error, BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. })
+        };
         match error.downcast_ref() {
             None => Self::All,
             Some(TrainError::Backend(error)) if !diverged(error) => Self::All,
@@ -86,8 +88,8 @@ impl Reach {
 }
 
 impl<'a> Runner<'a> {
-    /// Runs all that is unfinished, or `only` that one cell, or until it is stopped. A cell that fails keeps others from
-    /// being begun only where they would fail.
+    /// Runs all that is unfinished, or `only` that one cell, or until it is stopped. A cell that fails keeps
+    /// others from being begun only where they would fail.
     pub(crate) fn run(&self, only: Option<Cell>) -> Result<Ran<'a>> {
         self.check_folders()?;
         self.check_photos()?;
@@ -127,11 +129,13 @@ impl<'a> Runner<'a> {
     /// Neither stopped nor bound to fail. A control stands beside an arm that has come to its end.
     fn may_begin(&self, cell: Cell, ran: &Ran<'_>) -> bool {
         let has_its_arm = self.waits_for(cell, &ran.results).is_none();
-        !self.stop.load(Ordering::Relaxed) && has_its_arm && !ran.failures.iter().any(|failure| failure.reaches(cell))
+        !self.stop.load(Ordering::Relaxed)
+            && has_its_arm
+            && !ran.failures.iter().any(|failure| failure.reaches(cell))
     }
 
-    /// What killed processes have left of files half written: in the bundled scene, in cells, and above them. Whoever calls
-    /// holds the experiment's lock alone.
+    /// What killed processes have left of files half written: in the bundled scene, in cells, and above them.
+    /// Whoever calls holds the experiment's lock alone.
     pub(crate) fn remove_leftovers(&self) {
         let scenes = self.experiment.file.scenes.iter().enumerate();
         let bundled = scenes.filter(|(_, scene)| *scene == BUNDLED).map(|(index, _)| self.scene_path(index));
@@ -166,7 +170,8 @@ impl<'a> Runner<'a> {
     /// The settings of a cell; those of a control depend on what its arm has taken.
     pub(crate) fn settings(&self, cell: Cell, results: &Results<'_>) -> Result<Settings> {
         let target = self.experiment.arms[cell.arm].control_of;
-        let seconds = target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
+        let seconds =
+            target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
         self.experiment.settings(cell, &self.scene_path(cell.scene), self.machine, seconds)
     }
 

@@ -1,7 +1,7 @@
 //! Means, spreads, and a test of paired differences.
 //!
-//! Repeats are few, so the test is exact: it counts sign patterns. The least p that `n` differences can reach is
-//! 2^(1 - n): with three seeds 0.25, however large the effect.
+//! Repeats are few, so the test is exact: it counts sign patterns. The least p that `n` differences can reach
+//! is 2^(1 - n): with three seeds 0.25, however large the effect.
 
 /// Mean and sample standard deviation; the latter needs two values. `None` for no values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +21,8 @@ impl Summary {
     }
 }
 
-/// Wilcoxon's signed-rank test, two-sided; differences of zero are left out, as in Wilcoxon (1945). Equal sizes share
-/// the mean of their ranks, and the distribution is that of the shared ranks.
+/// Wilcoxon's signed-rank test, two-sided; differences of zero are left out, as in Wilcoxon (1945). Equal
+/// sizes share the mean of their ranks, and the distribution is that of the shared ranks.
 pub(crate) fn wilcoxon_test(differences: &[f64]) -> f64 {
     let ranked = doubled_ranks(differences);
     let total: usize = ranked.iter().map(|(rank, _)| rank).sum();
@@ -32,7 +32,8 @@ pub(crate) fn wilcoxon_test(differences: &[f64]) -> f64 {
     (2.0 * tail).min(1.0)
 }
 
-/// Twice the rank of each difference that is not zero (shared ranks may end in a half), and whether it is positive.
+/// Twice the rank of each difference that is not zero (shared ranks may end in a half), and whether it is
+/// positive.
 fn doubled_ranks(differences: &[f64]) -> Vec<(usize, bool)> {
     let mut sorted: Vec<f64> = differences.iter().copied().filter(|difference| *difference != 0.0).collect();
     sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
@@ -78,7 +79,8 @@ mod tests {
         close(wilcoxon_test(&[0.1, 0.2, 0.3]), 0.25);
         // The smallest of five is negative: sums 0 and 1 have a pattern each, so 2 (1 + 1) of 32.
         close(wilcoxon_test(&[-0.1, 0.2, 0.3, 0.4, 0.5]), 0.125);
-        // The largest of five is negative: patterns with a sum of at most 5 are {}, 1, 2, 3, 4, 5, 12, 13, 14, 23.
+        // The largest of five is negative: patterns with a sum of at most 5 are {}, 1, 2, 3, 4, 5, 12, 13,
+        // 14, 23.
         close(wilcoxon_test(&[0.1, 0.2, 0.3, 0.4, -0.5]), 0.625);
         // The published table for n = 8: a rank sum of 3 has 0.039 (patterns {}, 1, 2, 3, 12: 2 * 5 / 256).
         close(wilcoxon_test(&[1.0, 2.0, -3.0, 4.0, 5.0, 6.0, 7.0, 8.0]), 10.0 / 256.0);
@@ -87,7 +89,8 @@ mod tests {
 
     #[test]
     fn equal_sizes_share_their_ranks_and_zeros_are_left_out() {
-        // Sizes 1, 1, 2 have ranks 1.5, 1.5, 3; the negative one has 1.5. Sums of at most 1.5: {}, first, second.
+        // Sizes 1, 1, 2 have ranks 1.5, 1.5, 3; the negative one has 1.5. Sums of at most 1.5: {}, first,
+        // second.
         close(wilcoxon_test(&[1.0, -1.0, 2.0]), 2.0 * 3.0 / 8.0);
         close(wilcoxon_test(&[0.0, 1.0, -1.0, 2.0]), 2.0 * 3.0 / 8.0);
         // In either direction alike.

@@ -1,9 +1,9 @@
 //! The tables of an experiment, in the form of the paper's Tables 2 and 3.
 //!
-//! For each method and split: a row a scene, the baseline's figures, then for each other arm its differences from the
-//! baseline, where positive is better. Differences are taken seed by seed, then averaged. A further
-//! table tests them. Within a scene the pairs are its seeds; over all scenes the pairs are the scenes' means, since the
-//! repeats of one scene are no independent witnesses.
+//! For each method and split: a row a scene, the baseline's figures, then for each other arm its differences
+//! from the baseline, where positive is better. Differences are taken seed by seed, then averaged. A further
+//! table tests them. Within a scene the pairs are its seeds; over all scenes the pairs are the scenes' means,
+//! since the repeats of one scene are no independent witnesses.
 
 use genesplat::run::metrics::{Metrics, Split};
 
@@ -57,7 +57,11 @@ fn scenes_and_all(experiment: &Experiment) -> impl Iterator<Item = Option<usize>
 }
 
 /// What `of_scene` has for a scene, or for all of them: one mean a scene, of those that have values.
-fn values_on(experiment: &Experiment, scene: Option<usize>, of_scene: impl Fn(usize) -> Vec<f64>) -> Vec<f64> {
+fn values_on(
+    experiment: &Experiment,
+    scene: Option<usize>,
+    of_scene: impl Fn(usize) -> Vec<f64>,
+) -> Vec<f64> {
     let scenes = 0..experiment.file.scenes.len();
     let mean = |scene| Summary::of(&of_scene(scene)).map(|summary| summary.mean);
     scene.map_or_else(|| scenes.filter_map(mean).collect(), &of_scene)
@@ -126,9 +130,12 @@ fn repeats(results: &Results<'_>) -> String {
 fn tests(results: &Results<'_>, split: Split) -> Table {
     let experiment = results.experiment;
     let row = |metric: Metric, method: usize, (arm, against): (usize, usize), scene: Option<usize>| {
-        let gains =
-            values_on(experiment, scene, |scene| results.gains(cell(method, scene, arm), against, split, metric));
-        let count = |holds: fn(&f64) -> bool| Entry::Text(gains.iter().filter(|gain| holds(gain)).count().to_string());
+        let gains = values_on(experiment, scene, |scene| {
+            results.gains(cell(method, scene, arm), against, split, metric)
+        });
+        let count = |holds: fn(&f64) -> bool| {
+            Entry::Text(gains.iter().filter(|gain| holds(gain)).count().to_string())
+        };
         let p = match wilcoxon_test(&gains) {
             _ if gains.is_empty() => Entry::absent(),
             p if p < 0.001 => Entry::Text("< 0.001".into()),
@@ -200,8 +207,7 @@ mod tests {
 
     /// Two scenes, three seeds, off and genetic and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
-        let text =
-            "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nsearch = [\"off\", \"genetic\", \"control\"]";
+        let text = "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nsearch = [\"off\", \"genetic\", \"control\"]";
         Experiment::new(toml::from_str(text).unwrap()).unwrap()
     }
 
@@ -213,7 +219,8 @@ mod tests {
         serde_json::from_value(metrics).unwrap()
     }
 
-    /// Hand-made: scene a gains 0.1, 0.2, 0.3 from the search, scene b loses 0.1 each; the control does nothing.
+    /// Hand-made: scene a gains 0.1, 0.2, 0.3 from the search, scene b loses 0.1 each; the control does
+    /// nothing.
     fn results(experiment: &Experiment) -> Results<'_> {
         let mut results = Results::none(experiment);
         for cell in experiment.cells() {
@@ -230,7 +237,9 @@ mod tests {
     }
 
     fn assert_figure(entry: &Entry, mean: f64, spread: f64) {
-        let Entry::Figure { mean: found, spread: Some(found_spread), .. } = *entry else { panic!("{entry:?}") };
+        let Entry::Figure { mean: found, spread: Some(found_spread), .. } = *entry else {
+            panic!("{entry:?}")
+        };
         assert!((found - mean).abs() < 1e-9 && (found_spread - spread).abs() < 1e-9, "{entry:?}");
     }
 
@@ -261,7 +270,8 @@ mod tests {
         let results = results(&experiment);
         let table = tests(&results, Split::Test);
         let texts = |start: &str| -> Vec<String> {
-            let text = |entry: &Entry| if let Entry::Text(text) = entry { text.clone() } else { String::new() };
+            let text =
+                |entry: &Entry| if let Entry::Text(text) = entry { text.clone() } else { String::new() };
             row(&table, start).iter().map(text).collect()
         };
         assert_eq!(texts("a, 3dgs: genetic against off, PSNR"), ["3", "", "3", "0", "0.250"]);

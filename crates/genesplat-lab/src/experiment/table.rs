@@ -61,7 +61,8 @@ impl Table {
     /// As Markdown, bold where it improves.
     pub(crate) fn to_markdown(&self) -> String {
         let line = |name: &str, cells: Vec<String>| {
-            let cells: Vec<String> = cells.iter().map(|cell| format!(" {} |", cell.replace('|', "\\|"))).collect();
+            let cells: Vec<String> =
+                cells.iter().map(|cell| format!(" {} |", cell.replace('|', "\\|"))).collect();
             format!("| {} |{}\n", name.replace('|', "\\|"), cells.concat())
         };
         let mut text = format!("{}\n\n", self.caption);
@@ -110,11 +111,19 @@ mod tests {
             rows: vec![
                 (
                     "a_b".into(),
-                    vec![figure(30.125, Some(0.5), 2, false), figure(0.257, Some(0.03), 2, true), Entry::absent()],
+                    vec![
+                        figure(30.125, Some(0.5), 2, false),
+                        figure(0.257, Some(0.03), 2, true),
+                        Entry::absent(),
+                    ],
                 ),
                 (
                     "<i>|".into(),
-                    vec![figure(31.0, None, 2, false), figure(-0.004, None, 2, true), figure(-0.1, None, 4, true)],
+                    vec![
+                        figure(31.0, None, 2, false),
+                        figure(-0.004, None, 2, true),
+                        figure(-0.1, None, 4, true),
+                    ],
                 ),
             ],
         }
@@ -123,7 +132,10 @@ mod tests {
     #[test]
     fn markdown_is_a_table_with_improvements_in_bold() {
         let text = table().to_markdown();
-        assert!(text.contains("|  | 3dgs PSNR | genetic ΔP | genetic ΔS |\n| --- | --- | --- | --- |\n"), "{text}");
+        assert!(
+            text.contains("|  | 3dgs PSNR | genetic ΔP | genetic ΔS |\n| --- | --- | --- | --- |\n"),
+            "{text}"
+        );
         assert!(text.contains("| a_b | 30.12 ± 0.50 | **+0.26** ± 0.03 | - |\n"), "{text}");
         // What rounds to nothing has no sign, as in the paper.
         assert!(text.contains("| <i>\\| | 31.00 | 0.00 | -0.1000 |\n"), "{text}");

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use genesplat::io::{input, shown};
 use serde_json::Value;
 
 /// The columns that tell one run from another, beside that of the method.
@@ -26,8 +27,8 @@ pub(crate) struct Made<'a> {
     pub(crate) is_idle: bool,
 }
 
-/// `csv` with a line for every finished run below `folder`: in the place of a line of the same run, commit and machine, else
-/// behind the last of its arm, else at the end.
+/// `csv` with a line for every finished run below `folder`: in the place of a line of the same run, commit
+/// and machine, else behind the last of its arm, else at the end.
 pub(crate) fn add(csv: &str, folder: &Path, made: &Made<'_>) -> Result<String> {
     let mut lines = csv.lines();
     let header = lines.next().unwrap_or_default();
@@ -35,9 +36,9 @@ pub(crate) fn add(csv: &str, folder: &Path, made: &Made<'_>) -> Result<String> {
     let [identity, arm] = [places(&columns, &IDENTITY)?, places(&columns, &ARM)?];
     let mut lines: Vec<String> = lines.map(str::to_owned).collect();
     let runs = finished(&folder.join("cells"))?;
-    ensure!(!runs.is_empty(), "{} has no finished run", folder.display());
+    ensure!(!runs.is_empty(), "{} has no finished run", shown(folder));
     for run in runs {
-        let line = line(&run, &columns, made).with_context(|| run.display().to_string())?;
+        let line = line(&run, &columns, made).with_context(|| shown(&run).to_string())?;
         let agrees = |old: &String, columns: &[usize]| {
             columns.iter().all(|&at| old.split(',').nth(at) == line.split(',').nth(at))
         };
@@ -67,7 +68,7 @@ fn finished(cells: &Path) -> Result<Vec<PathBuf>> {
     for _ in ["scene", "method", "arm", "seed"] {
         let mut below = Vec::new();
         for folder in &folders {
-            for entry in fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+            for entry in fs::read_dir(folder).with_context(|| shown(folder).to_string())? {
                 below.extend(Some(entry?.path()).filter(|path| path.is_dir()));
             }
         }
@@ -86,11 +87,11 @@ fn is_finished(run: &Path) -> Option<bool> {
 }
 
 fn metrics(run: &Path) -> Result<Value> {
-    Ok(serde_json::from_str(&fs::read_to_string(run.join("metrics.json"))?)?)
+    Ok(serde_json::from_str(&input::read_text(&run.join("metrics.json"))?)?)
 }
 
 fn config(run: &Path) -> Result<toml::Table> {
-    Ok(fs::read_to_string(run.join("config.toml"))?.parse()?)
+    Ok(input::read_text(&run.join("config.toml"))?.parse()?)
 }
 
 /// The values of `columns`, in their order.
@@ -109,12 +110,15 @@ fn old_arm(arm: String) -> String {
 }
 
 fn value(column: &str, run: &Path, metrics: &Value, config: &toml::Table, made: &Made<'_>) -> Result<String> {
-    let folder = |up: usize| run.ancestors().nth(up).and_then(Path::file_name).unwrap_or_default().to_string_lossy();
-    let number =
-        |at: &str, digits: usize| metrics.pointer(at).and_then(Value::as_f64).map(|value| format!("{value:.digits$}"));
+    let folder =
+        |up: usize| run.ancestors().nth(up).and_then(Path::file_name).unwrap_or_default().to_string_lossy();
+    let number = |at: &str, digits: usize| {
+        metrics.pointer(at).and_then(Value::as_f64).map(|value| format!("{value:.digits$}"))
+    };
     let needed = |at: &str, digits| number(at, digits).with_context(|| format!("metrics.json has no {at}"));
     let seconds = |at: &str| if made.is_idle { needed(at, 1) } else { Ok(String::new()) };
-    let max_side = config.get("dataset").and_then(|dataset| dataset.get("max_side")).and_then(toml::Value::as_integer);
+    let max_side =
+        config.get("dataset").and_then(|dataset| dataset.get("max_side")).and_then(toml::Value::as_integer);
     Ok(match column {
         "scene" => folder(3).into_owned(),
         "method" => metrics["method"].as_str().unwrap_or_default().to_owned(),

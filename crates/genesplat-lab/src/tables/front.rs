@@ -9,8 +9,8 @@ use super::{BASELINE, Figures, IMPROVED, OURS, Part, Run, SINGLE, difference, ma
 /// Runs whose seconds were measured apart from their figures, and runs on graphics cards.
 const SECONDS: &str = "seconds";
 
-/// README's table, two lines a scene: PSNR and Gaussians, means over the seeds that all methods but MCMC have; then
-/// the time of training, where it was measured.
+/// README's table, two lines a scene: PSNR and Gaussians, means over the seeds that all methods but MCMC
+/// have; then the time of training, where it was measured.
 pub(super) fn methods(parts: &[Part], results: &Path) -> Result<String> {
     let head = ["480 px, 7,000 iterations", "3DGS", "MCMC", "Improved-GS", "ours"];
     let (single, timed) = (runs_in(SINGLE, results)?, runs_in(SECONDS, results)?);
@@ -61,7 +61,10 @@ fn quality(runs: &[&Run], best: f64) -> String {
 fn minutes(part: &Part, timed: &[Run], arm: &str) -> String {
     let scene = part.runs[0].text("scene");
     let apart = |device: &str| -> Vec<&Run> {
-        timed.iter().filter(|run| run.is(arm) && run.text("scene") == scene && run.text("device") == device).collect()
+        timed
+            .iter()
+            .filter(|run| run.is(arm) && run.text("scene") == scene && run.text("device") == device)
+            .collect()
     };
     let mut on_cpu = part.runs_of(arm);
     on_cpu.extend(apart("cpu"));
@@ -76,9 +79,11 @@ fn minutes(part: &Part, timed: &[Run], arm: &str) -> String {
         .join(", ")
 }
 
-/// PSNR of the published search and of as many seconds of gradient steps; at last a scene that size does not prune.
+/// PSNR of the published search and of as many seconds of gradient steps; at last a scene that size does not
+/// prune.
 pub(super) fn search(parts: &[Part], results: &Path) -> Result<String> {
-    let head = ["160 px, 3,000 iterations", "3DGS: PSNR, dB", "3DGS + GA", "gradient steps in as many seconds"];
+    let head =
+        ["160 px, 3,000 iterations", "3DGS: PSNR, dB", "3DGS + GA", "gradient steps in as many seconds"];
     let runs = runs_in("fern-unpruned", results)?;
     let unpruned = Part { label: "fern, nothing pruned by size".to_owned(), runs };
     let named = parts.iter().map(|part| (part.runs[0].text("scene").to_owned(), part));
@@ -98,7 +103,8 @@ pub(super) fn search(parts: &[Part], results: &Path) -> Result<String> {
 /// PSNR of runs of 30,000 iterations, one a cell.
 pub(super) fn long_runs(parts: &[Part], _: &Path) -> Result<String> {
     let head = ["480 px, 30,000 iterations: PSNR, dB", "3DGS", "plain with averages", "ours"];
-    let psnr = |part: &Part, arm: &str| part.runs_of(arm).first().map_or("", |run| run.text("psnr")).to_owned();
+    let psnr =
+        |part: &Part, arm: &str| part.runs_of(arm).first().map_or("", |run| run.text("psnr")).to_owned();
     let line = |part: &Part| {
         let [plain, averaged, ours] = [BASELINE, "strong-averaged", OURS].map(|arm| psnr(part, arm));
         [part.label.clone(), plain, averaged, ours]

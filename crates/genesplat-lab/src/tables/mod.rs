@@ -1,5 +1,5 @@
-//! The tables of the documents, made of the figures in `lab/results`, so that none is typed by hand, and docs/settings.md,
-//! made of the comments of the settings.
+//! The tables of the documents, made of the figures in `lab/results`, so that none is typed by hand, and
+//! docs/settings.md, made of the comments of the settings.
 //!
 //! ```sh
 //! cargo run --release -p genesplat-lab -- tables            # rewrites the tables in README.md, docs/*.md and lab/*.md

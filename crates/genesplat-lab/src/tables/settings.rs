@@ -46,8 +46,12 @@ const RUN: Section = Section {
     words: "",
 };
 
-const METHOD: Section =
-    Section { heading: "`[method]`", file: "genesplat-train/src/method/settings.rs", start: "settings! {", words: "" };
+const METHOD: Section = Section {
+    heading: "`[method]`",
+    file: "genesplat-train/src/method/settings.rs",
+    start: "settings! {",
+    words: "",
+};
 
 const GENETIC: Section = Section {
     heading: "`[genetic]`",
@@ -79,8 +83,10 @@ fn list(root: &Path, section: &Section) -> Result<String> {
 
 /// A table: a line a setting, a column a method.
 fn methods(root: &Path) -> Result<String> {
-    let own: Vec<Table> =
-        MethodName::ALL.into_iter().map(|name| Table::try_from(MethodConfig::of(name))).collect::<Result<_, _>>()?;
+    let own: Vec<Table> = MethodName::ALL
+        .into_iter()
+        .map(|name| Table::try_from(MethodConfig::of(name)))
+        .collect::<Result<_, _>>()?;
     let names = MethodName::ALL.map(|name| name.name().to_owned());
     let head = row(["setting".to_owned()].into_iter().chain(names).chain(["what".to_owned()]));
     let mut page = format!("{METHODS}\n{head}{}\n", "|---".repeat(MethodName::ALL.len() + 2) + "|");
@@ -148,7 +154,7 @@ fn fields(code: &str, start: &str) -> Result<Vec<(String, String)>> {
 /// Name and type of a field.
 fn field(line: &str) -> Option<(&str, &str)> {
     let public = line.strip_prefix("pub(crate) ").or(line.strip_prefix("pub ")).unwrap_or(line);
-    public
-        .split_once(": ")
-        .filter(|(name, _)| name.bytes().all(|byte| byte.is_ascii_lowercase() || b"_0123456789".contains(&byte)))
+    public.split_once(": ").filter(|(name, _)| {
+        name.bytes().all(|byte| byte.is_ascii_lowercase() || b"_0123456789".contains(&byte))
+    })
 }

@@ -1,8 +1,9 @@
 //! Tables from CSV files of runs.
 //!
-//! A document has `<!-- table: NAME -->`, the table, and `<!-- /table -->`; everything between the two is replaced. [`TABLES`] says
-//! which runs a table shows. A *line* of a table stands for the runs of one arm of an experiment, and its figures are means over them.
-//! Beside an arm stand its differences from `off`, run by run: a pair has the same scene, size, length, seed, commit and machine.
+//! A document has `<!-- table: NAME -->`, the table, and `<!-- /table -->`; everything between the two is
+//! replaced. [`TABLES`] says which runs a table shows. A *line* of a table stands for the runs of one arm of
+//! an experiment, and its figures are means over them. Beside an arm stand its differences from `off`, run by
+//! run: a pair has the same scene, size, length, seed, commit and machine.
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs;
@@ -17,16 +18,16 @@ mod front;
 const BASELINE: &str = "off";
 /// The default method, as CSV files call it.
 const OURS: &str = "renew";
-/// Plain settings, at the published rates and at ours, without and with averages, in as many iterations and as many seconds.
-/// Ours is worth what it adds to the best of them, seed by seed.
+/// Plain settings, at the published rates and at ours, without and with averages, in as many iterations and
+/// as many seconds. Ours is worth what it adds to the best of them, seed by seed.
 const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow-averaged", LONGER];
 const LONGER: &str = "strong-longer";
 /// Ours in about as many seconds as plain settings have.
 const SOONER: &str = "renew-sooner";
 /// The strongest published density control with the cap of ours: what a user would otherwise choose.
 const IMPROVED: &str = "improved-gs";
-/// What two runs of a pair have in common, beside their length; an arm whose name begins with its method is compared with other
-/// methods.
+/// What two runs of a pair have in common, beside their length; an arm whose name begins with its method is
+/// compared with other methods.
 const PAIRED: [&str; 7] = ["scene", "method", "max_side", "max_gaussians", "seed", "commit", "machine"];
 const END: &str = "<!-- /table -->";
 
@@ -48,13 +49,28 @@ const TABLES: [Table; 17] = [
         part: |run| (!run.is_short()).then(|| run.size()),
         write: front::methods,
     },
-    Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
-    Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
+    Table {
+        name: "results",
+        file: "real-size",
+        part: |run| (!run.is_short()).then(|| run.size()),
+        write: scenes,
+    },
+    Table {
+        name: "real-size",
+        file: "real-size",
+        part: |run| (!run.is_short()).then(|| run.size()),
+        write: arms,
+    },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
     Table { name: "fern-unpruned", file: "fern-unpruned", part: |run| Some(run.size()), write: arms },
     Table { name: "search", file: "ablations", part: |run| Some(run.size()), write: front::search },
-    Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::method), write: arms },
+    Table {
+        name: "renew-limited",
+        file: "earlier",
+        part: |run| run.of("renew-limited", Run::method),
+        write: arms,
+    },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::method), write: arms },
     Table { name: "long-runs", file: SINGLE, part: |run| run.of("long", Run::line), write: front::long_runs },
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
@@ -93,11 +109,12 @@ impl Run {
     fn is_paired_with(&self, other: &Self) -> bool {
         let is_method = [self, other].iter().any(|run| run.text("arm").starts_with(run.text("method")));
         let columns = PAIRED.iter().filter(|&&column| !(is_method && column == "method"));
-        self.length() == other.length() && columns.into_iter().all(|column| self.text(column) == other.text(column))
+        self.length() == other.length()
+            && columns.into_iter().all(|column| self.text(column) == other.text(column))
     }
 
-    /// Iterations of the runs that it stands beside: seven for ten of those that take fewer seconds, and for five of those that take
-    /// more.
+    /// Iterations of the runs that it stands beside: seven for ten of those that take fewer seconds, and for
+    /// five of those that take more.
     fn length(&self) -> Option<f64> {
         let iterations = self.number("iterations")?;
         Some(match self.text("arm") {
@@ -161,7 +178,8 @@ impl Part {
         self.runs.iter().filter(|run| run.is(arm)).collect()
     }
 
-    /// Beside each run of `arm` the best one of plain settings, of whichever arm; those that have none are left out.
+    /// Beside each run of `arm` the best one of plain settings, of whichever arm; those that have none are
+    /// left out.
     fn pairs_with_strong(&self, arm: &str) -> Result<Vec<(&Run, &Run)>> {
         let psnr = |run: &Run| run.number("psnr").unwrap_or(f64::NEG_INFINITY);
         let strongest = |run| -> Result<_> {
@@ -174,8 +192,9 @@ impl Part {
 
     /// Runs of `baseline` and of `arm`, seed by seed; every run of `arm` must have its twin.
     fn pairs(&self, baseline: &str, arm: &str) -> Result<Vec<(&Run, &Run)>> {
-        let missing =
-            |run: &Run| anyhow!("{}: {arm} with seed {} has no run `{baseline}`", self.label, run.text("seed"));
+        let missing = |run: &Run| {
+            anyhow!("{}: {arm} with seed {} has no run `{baseline}`", self.label, run.text("seed"))
+        };
         let pair = |run| Ok((self.twin(baseline, run)?.ok_or_else(|| missing(run))?, run));
         self.runs_of(arm).into_iter().map(pair).collect()
     }
@@ -200,7 +219,9 @@ pub(crate) fn documents(root: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = vec![root.join("README.md")];
     for folder in ["docs", "lab"] {
         for entry in fs::read_dir(root.join(folder))? {
-            paths.extend(Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")));
+            paths.extend(
+                Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")),
+            );
         }
     }
     paths.sort();
@@ -221,7 +242,8 @@ pub(crate) fn update(text: &str, results: &Path) -> Result<String> {
 }
 
 fn table(name: &str, results: &Path) -> Result<String> {
-    let table = TABLES.iter().find(|table| table.name == name).ok_or_else(|| anyhow!("no table is called {name}"))?;
+    let table =
+        TABLES.iter().find(|table| table.name == name).ok_or_else(|| anyhow!("no table is called {name}"))?;
     let mut parts: Vec<Part> = Vec::new();
     for run in runs_in(table.file, results)? {
         let Some(label) = (table.part)(&run) else { continue };
@@ -240,7 +262,8 @@ fn runs_in(file: &str, results: &Path) -> Result<Vec<Run>> {
     runs(&text).with_context(|| path.display().to_string())
 }
 
-/// Runs of a CSV file with a header. No value but the last of a line has commas. (A method was a `variant` once.)
+/// Runs of a CSV file with a header. No value but the last of a line has commas. (A method was a `variant`
+/// once.)
 fn runs(csv: &str) -> Result<Vec<Run>> {
     let mut lines = csv.lines();
     let name = |column| if column == "variant" { "method" } else { column };
@@ -249,7 +272,11 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
     for line in lines {
         let values: Vec<&str> = line.splitn(columns.len(), ',').collect();
         ensure!(values.len() == columns.len(), "`{line}` has {} of {} values", values.len(), columns.len());
-        runs.push(Run(columns.iter().zip(values).map(|(&column, value)| (column.into(), value.into())).collect()));
+        runs.push(Run(columns
+            .iter()
+            .zip(values)
+            .map(|(&column, value)| (column.into(), value.into()))
+            .collect()));
     }
     Ok(runs)
 }
@@ -279,10 +306,11 @@ fn scenes(parts: &[Part], _: &Path) -> Result<String> {
         let (strong_pairs, sooner_pairs) = (part.pairs_with_strong(OURS)?, part.pairs_with_strong(SOONER)?);
         let improved_pairs = part.pairs_there_are(IMPROVED, OURS)?;
         let (plain, ours): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
-        let [strong, improved] =
-            [&strong_pairs, &improved_pairs].map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
+        let [strong, improved] = [&strong_pairs, &improved_pairs]
+            .map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
         let arms = [&plain, &strong, &ours, &improved];
-        let psnr = |runs: &[&Run]| Figures::of(runs, |run| run.number("psnr")).mean(|mean| format!("{mean:.2}"));
+        let psnr =
+            |runs: &[&Run]| Figures::of(runs, |run| run.number("psnr")).mean(|mean| format!("{mean:.2}"));
         let gaussians = arms.map(|runs| {
             let mean = Figures::of(runs, |run| run.number("gaussians")).average();
             mean.map_or("-".to_owned(), thousands)
@@ -290,7 +318,11 @@ fn scenes(parts: &[Part], _: &Path) -> Result<String> {
         let gain = |measured: &[(&Run, &Run)], mark: &str| {
             let gain = difference(measured, "psnr");
             let mark = if gain.exceeds_spread() { mark } else { "" };
-            let fewer = if measured.len() < pairs.len() { format!(" (of {})", measured.len()) } else { String::new() };
+            let fewer = if measured.len() < pairs.len() {
+                format!(" (of {})", measured.len())
+            } else {
+                String::new()
+            };
             gain.mean(|mean| format!("{mark}{mean:+.2}{mark}{}{fewer}", gain.plus_minus()))
         };
         lines.push([
@@ -310,17 +342,23 @@ fn scenes(parts: &[Part], _: &Path) -> Result<String> {
 
 /// One line an arm: values of the baseline, and of the others their differences from it.
 fn arms(parts: &[Part], _: &Path) -> Result<String> {
-    let head = ["", "arm", "pairs", "better", "PSNR, dB", "SSIM", "LPIPS", "train PSNR", "Gaussians", "seconds"];
+    let head =
+        ["", "arm", "pairs", "better", "PSNR, dB", "SSIM", "LPIPS", "train PSNR", "Gaussians", "seconds"];
     let mut lines = Vec::new();
     for part in parts {
         for (nth, arm) in part.arms().into_iter().enumerate() {
             let (runs, pairs, is_baseline) = (part.runs_of(arm), part.pairs(BASELINE, arm)?, arm == BASELINE);
             let figures = |column: &str| {
-                if is_baseline { Figures::of(&runs, |run| run.number(column)) } else { difference(&pairs, column) }
+                if is_baseline {
+                    Figures::of(&runs, |run| run.number(column))
+                } else {
+                    difference(&pairs, column)
+                }
             };
             let mean = |column: &str, digits: usize| {
-                figures(column)
-                    .mean(|mean| if is_baseline { format!("{mean:.digits$}") } else { format!("{mean:+.digits$}") })
+                figures(column).mean(|mean| {
+                    if is_baseline { format!("{mean:.digits$}") } else { format!("{mean:+.digits$}") }
+                })
             };
             let better = figures("psnr").0.iter().filter(|difference| **difference > 0.0).count();
             lines.push([
@@ -340,7 +378,8 @@ fn arms(parts: &[Part], _: &Path) -> Result<String> {
     Ok(markdown(head, lines))
 }
 
-/// One column an arm, one run a cell: PSNR, SSIM, Gaussians, of which the last two may be unknown. The best PSNR of a line is bold.
+/// One column an arm, one run a cell: PSNR, SSIM, Gaussians, of which the last two may be unknown. The best
+/// PSNR of a line is bold.
 fn grid(parts: &[Part], _: &Path) -> Result<String> {
     let mut columns: Vec<&str> = Vec::new();
     for arm in parts.iter().flat_map(Part::arms) {
@@ -431,8 +470,10 @@ fn thousands(value: f64) -> String {
 
 /// Columns that are empty in every line are left out.
 fn markdown<const COLUMNS: usize>(head: [&str; COLUMNS], lines: Vec<[String; COLUMNS]>) -> String {
-    let shown: Vec<usize> = (0..COLUMNS).filter(|&column| lines.iter().any(|line| !line[column].is_empty())).collect();
-    let of = |cell: &dyn Fn(usize) -> String| row(&shown.iter().map(|&column| cell(column)).collect::<Vec<_>>());
+    let shown: Vec<usize> =
+        (0..COLUMNS).filter(|&column| lines.iter().any(|line| !line[column].is_empty())).collect();
+    let of =
+        |cell: &dyn Fn(usize) -> String| row(&shown.iter().map(|&column| cell(column)).collect::<Vec<_>>());
     let mut rows = vec![of(&|column| head[column].to_owned()), format!("|{}", "---|".repeat(shown.len()))];
     rows.extend(lines.iter().map(|line| of(&|column| line[column].clone())));
     rows.join("\n")

@@ -1,13 +1,17 @@
-//! `bench`: what is measured, and what is refused. The tests of modules that come first begin first, and this one is long.
+//! `bench`: what is measured, and what is refused. The tests of modules that come first begin first, and this
+//! one is long.
 
-use crate::support::{fail, finished_run, json, judge_failure, number, run, scene, succeed, text, without_drivers};
+use crate::support::{
+    fail, finished_run, json, judge_failure, number, run, scene, succeed, text, without_drivers,
+};
 
 /// Needs a driver, like the tests of genesplat-gpu, but not a fast one.
 #[test]
 fn bench_gpu_measures_or_says_why_not() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("gpu.json");
-    let arguments = ["bench", "gpu", "--gaussians", "300,600", "--width", "64", "--height", "48", "--steps", "2"];
+    let arguments =
+        ["bench", "gpu", "--gaussians", "300,600", "--width", "64", "--height", "48", "--steps", "2"];
     let arguments = arguments.into_iter().chain(["--population", "3", "--json", text(&file)]);
     judge_failure(without_drivers(arguments.clone()).output().unwrap(), &["no graphics device"]);
     if !succeed(["devices"]).contains("--device") {
@@ -26,7 +30,10 @@ fn judge_gpu(report: &serde_json::Value, gaussians: &[usize]) {
     assert!(report["memory_bytes_per_second"].as_f64() > Some(0.0), "{report}");
     for size in sizes {
         let floors = size["floor_milliseconds"].as_array().unwrap();
-        assert!(floors.iter().all(|floor| floor[1].as_f64() > Some(0.0)), "a stage that is not known: {size}");
+        assert!(
+            floors.iter().all(|floor| floor[1].as_f64() > Some(0.0)),
+            "a stage that is not known: {size}"
+        );
         assert!(size["milliseconds"].as_f64() > Some(0.0) && size["ratio"].as_f64() > Some(0.0), "{size}");
         assert!(number(&size["max_relative_difference"]) <= 1e-5, "{size}");
     }
@@ -44,9 +51,12 @@ fn a_step_is_timed() {
         for stage in ["project", "bin", "rasterise", "loss", "rasterise_backward", "update"] {
             assert!(report["stages"][stage].as_f64() > Some(0.0), "{stage}");
         }
-        for figure in
-            ["milliseconds", "tile_splats", "blend_nanoseconds_per_tile_splat", "roofline_nanoseconds_per_tile_splat"]
-        {
+        for figure in [
+            "milliseconds",
+            "tile_splats",
+            "blend_nanoseconds_per_tile_splat",
+            "roofline_nanoseconds_per_tile_splat",
+        ] {
             assert!(report[figure].as_f64() > Some(0.0), "{figure}");
         }
     }
@@ -100,7 +110,9 @@ fn bench_genetic_finds_the_same_losses_both_ways() {
     let report = json(&file);
     assert_eq!((report["gaussians"].as_u64(), report["views"].as_u64()), (Some(1500), Some(1)));
     assert!(number(&report["max_relative_difference"]) <= 1e-5, "{report}");
-    for figure in ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes", "scoring_bytes"] {
+    for figure in
+        ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes", "scoring_bytes"]
+    {
         assert!(report[figure].as_f64() > Some(0.0), "{figure}");
     }
 }

@@ -1,4 +1,5 @@
-//! Experiments: the matrix is run once, what is finished is left alone, and an interruption changes no figure.
+//! Experiments: the matrix is run once, what is finished is left alone, and an interruption changes no
+//! figure.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -82,7 +83,10 @@ fn figures(out: &Path) -> Vec<Vec<String>> {
     let lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
     let header: Vec<String> = text.lines().next().unwrap().split(',').map(str::to_owned).collect();
     let kept: Vec<usize> = (0..header.len()).filter(|&at| !header[at].ends_with("_seconds")).collect();
-    lines.filter(|line| line[2] != "control").map(|line| kept.iter().map(|&at| line[at].clone()).collect()).collect()
+    lines
+        .filter(|line| line[2] != "control")
+        .map(|line| kept.iter().map(|&at| line[at].clone()).collect())
+        .collect()
 }
 
 #[test]
@@ -98,7 +102,8 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     // A control spends what its arm has taken, and nothing else about it differs.
     let cell = |name: &str| out.join("cells/small/3dgs").join(name);
     let taken = json(&cell("genetic/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
-    let config: toml::Table = fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
+    let config: toml::Table =
+        fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
     assert_eq!(config["extra_steps"]["seconds"].as_float(), Some(taken));
     assert!(!config.contains_key("genetic"), "{config}");
 
@@ -116,7 +121,8 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     let board = String::from_utf8(output.stderr).unwrap();
     assert_eq!(board.lines().filter(|line| line.ends_with("finished before")).count(), 3, "{board}");
     let again = times(&out);
-    let repeated: Vec<&str> = first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
+    let repeated: Vec<&str> =
+        first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
     assert_eq!(repeated, ["control/seed-1", "genetic/seed-1", "off/seed-0"]);
     assert_eq!(figures(&out), whole, "the same figures");
 
@@ -180,7 +186,8 @@ fn pages_are_whole_escaped_and_load_nothing() {
         assert!(html.contains("src=") && html.len() < 900_000, "{page} has {} bytes", html.len());
     }
     let html = fs::read_to_string(out.join(run)).unwrap();
-    for part in ["<svg", "PSNR of the test photos", "Every stage", "steps_scale", "genesplat train", "Worst"] {
+    for part in ["<svg", "PSNR of the test photos", "Every stage", "steps_scale", "genesplat train", "Worst"]
+    {
         assert!(html.contains(part), "{part}");
     }
     let html = fs::read_to_string(out.join("report.html")).unwrap();
@@ -195,7 +202,8 @@ fn pages_are_whole_escaped_and_load_nothing() {
     fail(experiment(&file, &out, &[]), &["other settings", "--out"]);
 }
 
-/// The file of an experiment on the scenes in the folder `own` beside it, and the arguments that run it there.
+/// The file of an experiment on the scenes in the folder `own` beside it, and the arguments that run it
+/// there.
 fn on_own_scenes(folder: &Path, scenes: &str) -> Vec<String> {
     let (file, out) = (folder.join("own.toml"), folder.join("out"));
     let arms = format!("scenes = {scenes}\nsearch = [\"off\", \"genetic\"]");
@@ -219,7 +227,10 @@ fn a_finished_experiment_keeps_its_tables_where_its_scene_has_changed() {
         fs::remove_file(&tables).unwrap();
         let output = run(&arguments);
         let stderr = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.success() && stderr.contains("notice: there are no pictures of one"), "{stderr}");
+        assert!(
+            output.status.success() && stderr.contains("notice: there are no pictures of one"),
+            "{stderr}"
+        );
         assert!(stderr.contains(sign) && before == fs::read(&tables).unwrap(), "{stderr}");
     }
 }
@@ -291,8 +302,10 @@ fn stopped_checkpoint(scene: &Path, out: &Path) -> PathBuf {
 #[test]
 fn a_finished_experiment_says_that_its_scene_is_another_now() {
     let folder = tempfile::tempdir().unwrap();
-    let (file, out, scene) = (folder.path().join("own.toml"), folder.path().join("out"), folder.path().join("one"));
-    fs::write(&file, SMALL.replace("scenes = [\"small\"]", "scenes = [\"one\"]\nsearch = [\"off\"]")).unwrap();
+    let (file, out, scene) =
+        (folder.path().join("own.toml"), folder.path().join("out"), folder.path().join("one"));
+    fs::write(&file, SMALL.replace("scenes = [\"small\"]", "scenes = [\"one\"]\nsearch = [\"off\"]"))
+        .unwrap();
     write_scene(&scene, [48, 32], 9);
     let arguments = experiment_on(folder.path(), &file, &out, &[]);
     succeed(&arguments);

@@ -18,7 +18,10 @@ fn figures_replace_no_input_and_no_folder() {
         judge_failure(without_drivers(bench).output().unwrap(), &[here, "is a folder", "name of a file"]);
         let of_splat = ["bench", what, "--data", "absent", "--splat", text(&splat), "--json"];
         let refuse = |file: &Path, is: &str| {
-            fail(of_splat.iter().chain(&[text(file)]), &[is, "would be overwritten; give the name of another file"]);
+            fail(
+                of_splat.iter().chain(&[text(file)]),
+                &[is, "would be overwritten; give the name of another file"],
+            );
         };
         refuse(&photo, "gallery_000.png is a picture");
         refuse(&splat, "an input");

@@ -1,8 +1,8 @@
 //! What a network does to a picture: convolve, rectify, pool.
 //!
-//! A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side (`im2col`) and
-//! multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what is copied stays below
-//! about 10 MB a thread, and results do not depend on the number of threads.
+//! A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side
+//! (`im2col`) and multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what
+//! is copied stays below about 10 MB a thread, and results do not depend on the number of threads.
 
 use genesplat_core::Photo;
 use ndarray::linalg::general_mat_mul;
@@ -98,15 +98,26 @@ impl Convolution {
         let (width, height) = (side(input.width), side(input.height));
         let rows = STRIP_PIXELS.div_ceil(width);
         let mut values = vec![0.0; width * height * outputs];
-        values.par_chunks_mut(rows * width * outputs).enumerate().for_each_init(Vec::new, |columns, (strip, out)| {
-            self.neighbourhoods(input, strip * rows, width, out.len() / (width * outputs), columns);
-            self.multiply(columns, out);
-        });
+        values.par_chunks_mut(rows * width * outputs).enumerate().for_each_init(
+            Vec::new,
+            |columns, (strip, out)| {
+                self.neighbourhoods(input, strip * rows, width, out.len() / (width * outputs), columns);
+                self.multiply(columns, out);
+            },
+        );
         Features { width, height, channels: outputs, values }
     }
 
-    /// Copies what `rows` output rows from `first` on see: `[pixel; kernel row, kernel column, input]`, zero outside.
-    fn neighbourhoods(&self, input: &Features, first: usize, width: usize, rows: usize, columns: &mut Vec<f32>) {
+    /// Copies what `rows` output rows from `first` on see: `[pixel; kernel row, kernel column, input]`, zero
+    /// outside.
+    fn neighbourhoods(
+        &self,
+        input: &Features,
+        first: usize,
+        width: usize,
+        rows: usize,
+        columns: &mut Vec<f32>,
+    ) {
         let Shape { inputs, kernel: side, stride, padding, .. } = self.shape;
         columns.clear();
         columns.resize(rows * width * side * side * inputs, 0.0);
@@ -157,7 +168,8 @@ mod tests {
         let mut sum = f64::from(bias);
         for at in 0..shape.inputs * side * side {
             let (channel, row, column) = (at / (side * side), at / side % side, at % side);
-            let [px, py] = [x * shape.stride + column, y * shape.stride + row].map(|at| at.wrapping_sub(shape.padding));
+            let [px, py] =
+                [x * shape.stride + column, y * shape.stride + row].map(|at| at.wrapping_sub(shape.padding));
             if px < input.width && py < input.height {
                 let value = input.values[(py * input.width + px) * shape.inputs + channel];
                 sum += f64::from(value * weight[output * shape.inputs * side * side + at]);
@@ -169,7 +181,9 @@ mod tests {
     #[test]
     fn strips_of_products_equal_the_definition() {
         // VGG's kind over several strips, AlexNet's first kind, and one wider than its picture.
-        for (kernel, stride, padding, width, height) in [(3, 1, 1, 37, 23), (11, 4, 2, 41, 31), (5, 1, 2, 2, 3)] {
+        for (kernel, stride, padding, width, height) in
+            [(3, 1, 1, 37, 23), (11, 4, 2, 41, 31), (5, 1, 2, 2, 3)]
+        {
             let shape = Shape { index: 0, inputs: 3, outputs: 4, kernel, stride, padding };
             let weight = Tensor { shape: Vec::new(), values: noise(4 * 3 * kernel * kernel, 0) };
             let bias = Tensor { shape: vec![4], values: noise(4, 1) };
@@ -187,7 +201,8 @@ mod tests {
 
     #[test]
     fn pooling_takes_the_largest_of_each_window() {
-        let input = Features { width: 5, height: 3, channels: 1, values: (0..15).map(|i| i as f32).collect() };
+        let input =
+            Features { width: 5, height: 3, channels: 1, values: (0..15).map(|i| i as f32).collect() };
         assert_eq!(input.max_pool(2).values, [6.0, 8.0]);
         assert_eq!(input.max_pool(3).values, [12.0, 14.0]);
     }

@@ -1,8 +1,9 @@
-//! LPIPS (Zhang et al. 2018, version 0.1): how different two pictures look to a network that was trained to see.
+//! LPIPS (Zhang et al. 2018, version 0.1): how different two pictures look to a network that was trained to
+//! see.
 //!
-//! Both pictures pass the same network. At five depths (`network.rs`) each pixel's features are scaled to unit length,
-//! their squared difference is weighted by a learned head, summed over channels and averaged over pixels; the distance
-//! is the sum of the five. 0 is identical; splats are usually between 0.05 and 0.5.
+//! Both pictures pass the same network. At five depths (`network.rs`) each pixel's features are scaled to
+//! unit length, their squared difference is weighted by a learned head, summed over channels and averaged
+//! over pixels; the distance is the sum of the five. 0 is identical; splats are usually between 0.05 and 0.5.
 //!
 //! Memory: about 0.8 KB a pixel of the pictures, most of it in VGG16's first slice.
 
@@ -137,7 +138,8 @@ impl Slice {
         self.convolutions.iter().fold(features, |features, convolution| convolution.apply(&features))
     }
 
-    /// Mean over pixels of the weighted squared difference of unit-length features. Summed row by row, in order.
+    /// Mean over pixels of the weighted squared difference of unit-length features. Summed row by row, in
+    /// order.
     fn distance(&self, a: &Features, b: &Features) -> f64 {
         let (stride, channels) = (a.width * a.channels, a.channels);
         let row = |(a, b): (&[f32], &[f32])| -> f64 {
@@ -164,11 +166,13 @@ fn unit_scale(features: &[f32]) -> f32 {
     1.0 / (features.iter().map(|value| value * value).sum::<f32>().sqrt() + EPSILON)
 }
 
-/// True when `tensors` holds something of `net` and nothing that contradicts it: one part (convolutions or heads) of a
-/// network's weights tells which network it is of.
+/// True when `tensors` holds something of `net` and nothing that contradicts it: one part (convolutions or
+/// heads) of a network's weights tells which network it is of.
 pub fn belongs_to(net: Net, tensors: &NamedTensors) -> bool {
-    let found: Vec<bool> =
-        net.tensors().filter_map(|(name, shape)| tensors.get(&name).map(|tensor| tensor.shape == shape)).collect();
+    let found: Vec<bool> = net
+        .tensors()
+        .filter_map(|(name, shape)| tensors.get(&name).map(|tensor| tensor.shape == shape))
+        .collect();
     found.contains(&true) && !found.contains(&false)
 }
 

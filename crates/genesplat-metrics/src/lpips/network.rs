@@ -1,7 +1,8 @@
 //! The two networks whose features LPIPS compares, as tables.
 //!
-//! Names and shapes are torchvision's (`features.N.weight`, `[outputs, inputs, rows, columns]`), and the heads' are
-//! `linK.weight`, `[1, channels, 1, 1]`. Features are taken ("tapped") after the last rectifier of each slice.
+//! Names and shapes are torchvision's (`features.N.weight`, `[outputs, inputs, rows, columns]`), and the
+//! heads' are `linK.weight`, `[1, channels, 1, 1]`. Features are taken ("tapped") after the last rectifier of
+//! each slice.
 
 use std::fmt;
 
@@ -11,7 +12,8 @@ pub const LAYERS: usize = 5;
 /// A network that LPIPS exists for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Net {
-    /// VGG16 (Simonyan and Zisserman 2014), tapped after relu1_2, 2_2, 3_3, 4_3 and 5_3: that of published tables.
+    /// VGG16 (Simonyan and Zisserman 2014), tapped after relu1_2, 2_2, 3_3, 4_3 and 5_3: that of published
+    /// tables.
     Vgg16,
     /// AlexNet (Krizhevsky 2014), tapped after each of its five rectifiers. Ten times faster.
     AlexNet,
@@ -123,7 +125,11 @@ pub(super) fn places(side: usize, window: usize, stride: usize, padding: usize) 
     Some((side + 2 * padding).checked_sub(window)? / stride + 1)
 }
 
-const fn convolution(index: usize, [inputs, outputs]: [usize; 2], [kernel, stride, padding]: [usize; 3]) -> Shape {
+const fn convolution(
+    index: usize,
+    [inputs, outputs]: [usize; 2],
+    [kernel, stride, padding]: [usize; 3],
+) -> Shape {
     Shape { index, inputs, outputs, kernel, stride, padding }
 }
 
@@ -159,7 +165,8 @@ mod tests {
             assert!(shapes.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "{net}");
         }
         // 13 convolutions and 5 heads; the sizes of the published models without their classifiers.
-        let count = |net: Net| -> usize { net.tensors().map(|(_, shape)| shape.iter().product::<usize>()).sum() };
+        let count =
+            |net: Net| -> usize { net.tensors().map(|(_, shape)| shape.iter().product::<usize>()).sum() };
         assert_eq!(Net::Vgg16.tensors().count(), 31);
         assert_eq!(count(Net::Vgg16), 14_714_688 + 1472);
         assert_eq!(count(Net::AlexNet), 2_469_696 + 1152);

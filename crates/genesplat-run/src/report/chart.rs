@@ -85,7 +85,8 @@ impl Chart {
         }
         let curves: Vec<_> = self.series.iter().map(|series| thinned(&series.points, POINTS)).collect();
         let along = |axis: usize| curves.iter().flatten().map(move |point| point[axis]);
-        let (x, y) = (Axis::around(along(0), LEFT, WIDTH - RIGHT), Axis::around(along(1), HEIGHT - BOTTOM, TOP));
+        let (x, y) =
+            (Axis::around(along(0), LEFT, WIDTH - RIGHT), Axis::around(along(1), HEIGHT - BOTTOM, TOP));
         page.open("figure").element("figcaption", &self.caption);
         page.open(&format!("svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\""));
         page.element("title", &self.caption);

@@ -1,7 +1,7 @@
 //! Where two renders of a photo differ most: windows that the program chooses, not the author.
 //!
-//! For every square window, a sixth of the longer side wide, the absolute errors of both renders are summed. The
-//! windows of the largest differences are taken, none overlapping an earlier one.
+//! For every square window, a sixth of the longer side wide, the absolute errors of both renders are summed.
+//! The windows of the largest differences are taken, none overlapping an earlier one.
 
 use genesplat_core::Photo;
 
@@ -18,8 +18,8 @@ impl Square {
     }
 }
 
-/// At most `count` windows where the error of `with` is lower than that of `without`, by most first. All three pictures
-/// have one size.
+/// At most `count` windows where the error of `with` is lower than that of `without`, by most first. All
+/// three pictures have one size.
 pub(crate) fn where_better(photo: &Photo, without: &Photo, with: &Photo, count: usize) -> Vec<Square> {
     let side = (photo.width.max(photo.height) / 6).clamp(1, photo.width.min(photo.height));
     let sums = Sums::new(photo, without, with);
@@ -91,7 +91,8 @@ mod tests {
     #[test]
     fn planted_errors_are_found_in_order_of_their_size() {
         let photo = picture(&[]);
-        // Errors of exactly the window's size that one render has and the other has not, and one the other way round.
+        // Errors of exactly the window's size that one render has and the other has not, and one the other
+        // way round.
         let without = picture(&[(41, 7, 10, 160), (3, 28, 10, 130)]);
         let with = picture(&[(20, 10, 10, 60)]);
         let places = |squares: Vec<Square>| squares.iter().map(|s| (s.x, s.y, s.side)).collect::<Vec<_>>();

@@ -57,8 +57,9 @@ pub struct Curves {
 const LOSS_DB: f64 = 0.3;
 
 impl Curves {
-    /// Where the test photos of a whole run were clearly better before its end, and training photos are above that at the end. (After
-    /// a late opacity reset all photos are worse, and after averages that make training photos worse, too.)
+    /// Where the test photos of a whole run were clearly better before its end, and training photos are above
+    /// that at the end. (After a late opacity reset all photos are worse, and after averages that make
+    /// training photos worse, too.)
     pub(crate) fn notice_of_overfitting(&self, metrics: &Metrics) -> Option<String> {
         let [test, train] = [&metrics.test, &metrics.train].map(|scores| scores.psnr);
         let [iteration, best] = *self.test_psnr.iter().max_by(|a, b| a[1].total_cmp(&b[1]))?;
@@ -123,10 +124,20 @@ impl Curves {
 /// Test PSNR and number of Gaussians over time, a curve a run.
 pub fn over_time(prefix: &str, runs: &[(String, Curves)]) -> [Chart; 2] {
     let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| {
-        let series = |(name, curves): &(String, Curves)| Series { name: name.clone(), points: points(curves).to_vec() };
-        Chart { caption: format!("{prefix}{what}"), x_name: "iteration", series: runs.iter().map(series).collect() }
+        let series = |(name, curves): &(String, Curves)| Series {
+            name: name.clone(),
+            points: points(curves).to_vec(),
+        };
+        Chart {
+            caption: format!("{prefix}{what}"),
+            x_name: "iteration",
+            series: runs.iter().map(series).collect(),
+        }
     };
-    [chart("PSNR of the test photos, dB", |curves| &curves.test_psnr), chart("Gaussians", |curves| &curves.gaussians)]
+    [
+        chart("PSNR of the test photos, dB", |curves| &curves.test_psnr),
+        chart("Gaussians", |curves| &curves.gaussians),
+    ]
 }
 
 #[cfg(test)]
@@ -152,7 +163,10 @@ mod tests {
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
         assert_eq!(curves.notices, ["full"]);
         let [stage] = curves.stages[..] else { panic!("one stage") };
-        assert_eq!((stage.kind, stage.iteration, stage.guard_psnr), (StageKind::Averaging, 20, Some([30.0, 30.5])));
+        assert_eq!(
+            (stage.kind, stage.iteration, stage.guard_psnr),
+            (StageKind::Averaging, 20, Some([30.0, 30.5]))
+        );
     }
 
     #[test]

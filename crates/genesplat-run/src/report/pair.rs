@@ -30,8 +30,15 @@ pub struct Side<'a> {
     pub render: &'a Photo,
 }
 
-/// `photo` names the photo that is shown, `sheet` where the renders of it differ most, and `command` repeats both runs.
-pub fn to_html(title: &str, sides: &[Side<'_>; 2], photo: &str, sheet: &Photo, command: &str) -> Result<String> {
+/// `photo` names the photo that is shown, `sheet` where the renders of it differ most, and `command` repeats
+/// both runs.
+pub fn to_html(
+    title: &str,
+    sides: &[Side<'_>; 2],
+    photo: &str,
+    sheet: &Photo,
+    command: &str,
+) -> Result<String> {
     let [without, with] = sides;
     let Metrics { seed, iterations, .. } = with.metrics;
     let iterations = thousands(*iterations as usize);
@@ -51,7 +58,9 @@ pub fn to_html(title: &str, sides: &[Side<'_>; 2], photo: &str, sheet: &Photo, c
     let alt = &format!("The photo with the places framed, and each place enlarged: photo, {before}, {after}");
     picture::write_sheet(&mut page, sheet, SHEET_PX, alt);
     page.close("figure").element("h2", "Over time").open("div class=\"row\"");
-    let logs = sides.iter().map(|Side { name, folder, .. }| Ok(((*name).to_owned(), Curves::read(&folder.join(LOG))?)));
+    let logs = sides
+        .iter()
+        .map(|Side { name, folder, .. }| Ok(((*name).to_owned(), Curves::read(&folder.join(LOG))?)));
     over_time("", &logs.collect::<Result<Vec<_>>>()?).iter().for_each(|chart| chart.write(&mut page));
     page.close("div").element("h2", "Each run").open("ul");
     for Side { name, .. } in sides {

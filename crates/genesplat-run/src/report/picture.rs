@@ -30,7 +30,8 @@ pub fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u
     page.element("span", left.0).element("span", right.0);
     let label = format!("{} on the left, {} on the right: move the border", left.0, right.0);
     let moved = "this.parentNode.style.setProperty('--at',this.value+'%')";
-    let input = format!("input type=\"range\" min=\"0\" max=\"100\" step=\"any\" value=\"50\" oninput=\"{moved}\"");
+    let input =
+        format!("input type=\"range\" min=\"0\" max=\"100\" step=\"any\" value=\"50\" oninput=\"{moved}\"");
     page.attribute_of(&input, "aria-label", &label).close("div");
 }
 
@@ -61,7 +62,9 @@ mod tests {
         let mut page = Html::new();
         write(&mut page, &photo, 300, "a\"b");
         let text = page.into_text();
-        assert!(text.starts_with("<img src=\"data:image/jpeg;base64,/9j/") && text.ends_with("alt=\"a&quot;b\">"));
+        assert!(
+            text.starts_with("<img src=\"data:image/jpeg;base64,/9j/") && text.ends_with("alt=\"a&quot;b\">")
+        );
         assert!(text.len() < 10_000, "{}", text.len());
     }
 }

@@ -21,7 +21,8 @@ use crate::scene::picture_names;
 
 const PICTURE_PX: u32 = 800;
 
-/// What a page is made of: the figures, the run over time, what was trained on, the run's folder and `config.toml`, and what repeats it.
+/// What a page is made of: the figures, the run over time, what was trained on, the run's folder and
+/// `config.toml`, and what repeats it.
 pub(crate) struct RunPage<'a> {
     pub(crate) metrics: &'a Metrics,
     pub(crate) curves: Curves,
@@ -68,10 +69,15 @@ impl RunPage<'_> {
             page.element("p", "No photo was held out.");
             return Ok(());
         };
-        page.element("p", "Training never saw these photos. Drag the border, or move it with the arrow keys.");
+        page.element(
+            "p",
+            "Training never saw these photos. Drag the border, or move it with the arrow keys.",
+        );
         let names = picture_names(&self.scene.test);
         page.open("div class=\"views\"");
-        for (word, at) in [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 }) {
+        for (word, at) in
+            [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 })
+        {
             let render = read_photo(&self.folder.join(TEST).join(&names[at]))?;
             write_view(page, word, &scores[at], &*self.scene.test[at].photo.read()?, &render);
         }
@@ -114,10 +120,13 @@ fn write_curves(page: &mut Html, curves: Curves) {
 
 /// All scores, and where time went.
 fn write_scores(page: &mut Html, metrics: &Metrics) {
-    let cells = |psnr, ssim, lpips| [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")];
+    let cells =
+        |psnr, ssim, lpips| [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")];
     page.element("h2", "All figures").open("figure class=\"table\"").open("table");
     page.headings(&["", "photos", "PSNR, dB", "SSIM", "LPIPS"]);
-    for (name, Evaluation { psnr, ssim, lpips, views }) in [("test", &metrics.test), ("train", &metrics.train)] {
+    for (name, Evaluation { psnr, ssim, lpips, views }) in
+        [("test", &metrics.test), ("train", &metrics.train)]
+    {
         page.row(name, &[&[views.len().to_string()], &cells(*psnr, *ssim, *lpips)[..]].concat());
     }
     page.close("table").close("figure");
@@ -144,7 +153,8 @@ fn write_scores(page: &mut Html, metrics: &Metrics) {
 /// How to come by the same result.
 pub fn write_repeat(page: &mut Html, command: &str) {
     page.element("h2", "Repeat").element("pre class=\"command\"", command);
-    let (version, os, architecture) = (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
+    let (version, os, architecture) =
+        (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
     page.element("p class=\"dim\"", &format!("genesplat {version}, {os} {architecture}"));
 }
 

@@ -25,9 +25,10 @@ struct Mark {
     colour: [u8; 3],
 }
 
-/// A photo and two renders of it, and where the error of the second is lower than that of the first by most (green), or
-/// higher (red). The photo is whole, with the places framed; beside it, in the order photo, first, second, is what each
-/// picture has there, enlarged. Where nothing differs, the pictures stand side by side.
+/// A photo and two renders of it, and where the error of the second is lower than that of the first by most
+/// (green), or higher (red). The photo is whole, with the places framed; beside it, in the order photo,
+/// first, second, is what each picture has there, enlarged. Where nothing differs, the pictures stand side by
+/// side.
 pub fn changes(photo: &Photo, [without, with]: [&Photo; 2]) -> Photo {
     let fell = where_better(photo, without, with, PLACES[0]).into_iter().map(|square| (square, GREEN));
     let rose = where_better(photo, with, without, PLACES[1]).into_iter().map(|square| (square, RED));
@@ -136,7 +137,8 @@ mod tests {
 
     #[test]
     fn places_are_framed_in_the_whole_picture_and_enlarged_beside_it() {
-        let (photo, mut without, mut with) = (picture(240, 120, 100), picture(240, 120, 100), picture(240, 120, 100));
+        let (photo, mut without, mut with) =
+            (picture(240, 120, 100), picture(240, 120, 100), picture(240, 120, 100));
         // Errors that fill a place of 40 px, the first at (60, 40) and the second at (150, 40).
         for y in 40..80 {
             let at = |x: u32| 3 * (y * 240 + x) as usize;
@@ -151,14 +153,23 @@ mod tests {
         assert_eq!(sheet.pixel(scaled(60), scaled(40)), GREEN);
         assert_eq!(sheet.pixel(scaled(150), scaled(40)), RED);
         let left = |column: u32| wide + GAP_PX + column * (CROP_PX + GAP_PX);
-        let centre = |column: u32, row: u32| sheet.pixel(left(column) + 120, 120 + row * (CROP_PX + GAP_PX))[0];
-        assert_eq!([0, 1, 2].map(|column| [centre(column, 0), centre(column, 1)]), [[100, 100], [180, 100], [100, 20]]);
-        assert_eq!([sheet.pixel(left(1), 0), sheet.pixel(left(1), tall - 1)], [GREEN, RED], "frames of the crops");
+        let centre =
+            |column: u32, row: u32| sheet.pixel(left(column) + 120, 120 + row * (CROP_PX + GAP_PX))[0];
+        assert_eq!(
+            [0, 1, 2].map(|column| [centre(column, 0), centre(column, 1)]),
+            [[100, 100], [180, 100], [100, 20]]
+        );
+        assert_eq!(
+            [sheet.pixel(left(1), 0), sheet.pixel(left(1), tall - 1)],
+            [GREEN, RED],
+            "frames of the crops"
+        );
     }
 
     #[test]
     fn places_where_error_fell_are_green_and_those_where_it_rose_red() {
-        let (photo, mut without, mut with) = (picture(320, 200, 100), picture(320, 200, 100), picture(320, 200, 100));
+        let (photo, mut without, mut with) =
+            (picture(320, 200, 100), picture(320, 200, 100), picture(320, 200, 100));
         // The window is 53 px; an error fills it at (100, 40) in one render, and at (200, 120) in the other.
         for y in 40..93 {
             let at = |x: u32, y: u32| 3 * (y * 320 + x) as usize;

@@ -50,7 +50,11 @@ fn guard_chart(records: &[&StageRecord]) -> Chart {
         kinds.entry(record.kind.name()).or_default().push([record.iteration.into(), after - before]);
     }
     let series = kinds.into_iter().map(|(name, points)| Series { name: name.into(), points });
-    Chart { caption: "Guard PSNR gained by each stage, dB".into(), x_name: "iteration", series: series.collect() }
+    Chart {
+        caption: "Guard PSNR gained by each stage, dB".into(),
+        x_name: "iteration",
+        series: series.collect(),
+    }
 }
 
 fn write_table(page: &mut Html, records: &[&StageRecord]) {
@@ -60,7 +64,9 @@ fn write_table(page: &mut Html, records: &[&StageRecord]) {
     let names = ["iteration", "stage", "Gaussians changed", guards[0], guards[1], "loss before", "after"];
     page.headings(&[&names[..], &["renders", "time"]].concat());
     for record in records {
-        let guard = |which: usize| record.guard_psnr.map_or("-".into(), |psnr: [f64; 2]| format!("{:.2}", psnr[which]));
+        let guard = |which: usize| {
+            record.guard_psnr.map_or("-".into(), |psnr: [f64; 2]| format!("{:.2}", psnr[which]))
+        };
         let cells = [
             record.kind.name().to_owned(),
             thousands(record.changed),

@@ -16,7 +16,8 @@ pub(crate) fn write(page: &mut Html, timeline: &Timeline) {
     let rows = rows(timeline);
     let height = ROW * (rows.len() + 1) as f64;
     page.element("h2", "Timeline").open("figure");
-    page.open(&format!("svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\"")).element("title", "What happens when");
+    page.open(&format!("svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\""))
+        .element("title", "What happens when");
     for ((event, whens), row) in rows.iter().zip(0..) {
         let y = ROW * (f64::from(row) + 0.5);
         page.element(&format!("text x=\"0\" y=\"{:.1}\"", y + 4.0), event.words());
@@ -38,7 +39,9 @@ pub(crate) fn write(page: &mut Html, timeline: &Timeline) {
 /// The events that happen at all but for steps, each with all that is planned of it.
 fn rows(timeline: &Timeline) -> Vec<(Event, Vec<When>)> {
     let mut rows: Vec<(Event, Vec<When>)> = Vec::new();
-    for &(event, when) in timeline.events().iter().filter(|(event, when)| *event != Event::Step && !when.is_never()) {
+    for &(event, when) in
+        timeline.events().iter().filter(|(event, when)| *event != Event::Step && !when.is_never())
+    {
         match rows.last_mut() {
             Some((last, whens)) if *last == event => whens.push(when),
             _ => rows.push((event, vec![when])),
@@ -73,6 +76,9 @@ mod tests {
         let text = page.into_text();
         assert_eq!(text.matches("<path").count(), 2, "{text}");
         assert_eq!(text.matches("v8").count(), 4, "opacities are reset four times: {text}");
-        assert!(text.contains("densify") && text.contains("opacity reset") && text.contains("30,000"), "{text}");
+        assert!(
+            text.contains("densify") && text.contains("opacity reset") && text.contains("30,000"),
+            "{text}"
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! Every setting of training, in one plain struct.
 //!
-//! A file may name any subset; the rest has the defaults of its method. [`TrainConfig::resolve`] checks ranges and makes
-//! the timeline once; from then on only the [`Schedule`] travels, which cannot hold an invalid setting.
+//! A file may name any subset; the rest has the defaults of its method. [`TrainConfig::resolve`] checks
+//! ranges and makes the timeline once; from then on only the [`Schedule`] travels, which cannot hold an
+//! invalid setting.
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{RenderSettings, ScreenFilter};
@@ -53,35 +54,36 @@ pub enum StepBudget {
 pub struct TrainConfig {
     /// Seed of every random stream. Default 0; below 2⁶³, so that the file can hold it.
     pub seed: u64,
-    /// Iterations, one view each. Default 30,000; 1 to 100 million once scaled. `genesplat` fits its schedule into
-    /// them; with the published methods, changing them alone truncates: rates and events stay.
+    /// Iterations, one view each. Default 30,000; 1 to 100 million once scaled. `genesplat` fits its schedule
+    /// into them; with the published methods, changing them alone truncates: rates and events stay.
     pub iterations: u32,
-    /// Photos whose gradients a step of the optimiser has, which are summed in their order; an iteration is one photo
-    /// still. Default 1; 1 to 1000. All step sizes are multiplied by its square root (Zhao et al., "On Scaling Up 3D
-    /// Gaussian Splatting Training", 2024).
+    /// Photos whose gradients a step of the optimiser has, which are summed in their order; an iteration is
+    /// one photo still. Default 1; 1 to 1000. All step sizes are multiplied by its square root (Zhao et al.,
+    /// "On Scaling Up 3D Gaussian Splatting Training", 2024).
     pub views_per_step: u32,
-    /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is
-    /// rounded to whole iterations. Intervals are not made shorter than 100 iterations, or than given: density control
-    /// that looks at fewer photos grows what they do not need.
+    /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each
+    /// is rounded to whole iterations. Intervals are not made shorter than 100 iterations, or than given:
+    /// density control that looks at fewer photos grows what they do not need.
     pub steps_scale: f64,
-    /// Highest degree of the spherical harmonics, which starts at 0 and rises every 1,000 iterations. Default 3; 0 to
+    /// Highest degree of the spherical harmonics, which starts at 0 and rises every 1,000 iterations. Default
+    /// 3; 0 to
     /// 3. Lower is smaller, with less view-dependent colour.
     pub sh_degree: u8,
     /// Colour behind the splats. Default `black`; or `white`, `random`.
     pub background: Background,
-    /// Dim Gaussians by as much as the screen filter widens them ("antialiasing" of 3DGS's later releases). Default
-    /// false; not with `mip-splatting`, which has a filter of its own.
+    /// Dim Gaussians by as much as the screen filter widens them ("antialiasing" of 3DGS's later releases).
+    /// Default false; not with `mip-splatting`, which has a filter of its own.
     pub antialiasing: bool,
-    /// At most this many Gaussians: starting points are thinned to one that is given, and densification stops at it.
-    /// Default: what the photos can determine (`capacity` of the method); without that no limit, but 1,000,000 with
-    /// `mcmc` and `improved-gs`, which grow to it along a curve of their own.
+    /// At most this many Gaussians: starting points are thinned to one that is given, and densification stops
+    /// at it. Default: what the photos can determine (`capacity` of the method); without that no limit, but
+    /// 1,000,000 with `mcmc` and `improved-gs`, which grow to it along a curve of their own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
-    /// Iterations between two checkpoints. Default 1000 in the command; in the library 0, none but that of an interrupted
-    /// run. Not scaled by `steps_scale`.
+    /// Iterations between two checkpoints. Default 1000 in the command; in the library 0, none but that of an
+    /// interrupted run. Not scaled by `steps_scale`.
     pub checkpoint_every: u32,
-    /// Gradient steps beyond `iterations`, where the genetic search would be: the equal-time control that experiments
-    /// set. Default: none; or `{ seconds = S }`, `{ steps = N }`, without `genetic`.
+    /// Gradient steps beyond `iterations`, where the genetic search would be: the equal-time control that
+    /// experiments set. Default: none; or `{ seconds = S }`, `{ steps = N }`, without `genetic`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extra_steps: Option<StepBudget>,
     /// The method, and its settings.

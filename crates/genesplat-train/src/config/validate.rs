@@ -64,8 +64,10 @@ impl TrainConfig {
         check("iterations", self.iterations, self.iterations > 0 && scaled <= ITERATIONS_MAX, wanted)?;
         let views = self.views_per_step;
         check("views_per_step", views, (1..=1000).contains(&views), "between 1 and 1000")?;
-        let counts =
-            [("method.densify_every", self.method.densify_every), ("method.reset_every", self.method.reset_every)];
+        let counts = [
+            ("method.densify_every", self.method.densify_every),
+            ("method.reset_every", self.method.reset_every),
+        ];
         counts.into_iter().try_for_each(|(setting, value)| check(setting, value, value > 0, "at least 1"))
     }
 
@@ -103,14 +105,24 @@ impl TrainConfig {
         check("antialiasing", true, is_free, "false with mip-splatting, which has its own filter")?;
         let steps = f64::from(self.iterations) * self.steps_scale / f64::from(self.views_per_step);
         let has_step = self.views_per_step == 1 || steps > 1.0;
-        check("views_per_step", self.views_per_step, has_step, "less than the iterations, or no step is made")?;
+        check(
+            "views_per_step",
+            self.views_per_step,
+            has_step,
+            "less than the iterations, or no step is made",
+        )?;
         let searches = self.genetic.is_some() || self.extra_steps.is_some();
         let wanted = "a method that resets opacities with genetic, whose search follows each reset";
         check("method.name", name, !searches || name.resets(), wanted)?;
         let is_alone = self.extra_steps.is_none() || self.genetic.is_none();
         check("extra_steps", "set", is_alone, "left out beside genetic: it is the control of its search")?;
         let is_fair = self.extra_steps.is_none() || self.views_per_step == 1;
-        check("views_per_step", self.views_per_step, is_fair, "1 with extra_steps, whose steps are of one photo each")
+        check(
+            "views_per_step",
+            self.views_per_step,
+            is_fair,
+            "1 with extra_steps, whose steps are of one photo each",
+        )
     }
 }
 

@@ -1,11 +1,12 @@
-//! The adaptive density control of 3DGS: clone, split, prune, as one edit (Kerbl et al., 2023, section 5.2, and the
-//! code released with it).
+//! The adaptive density control of 3DGS: clone, split, prune, as one edit (Kerbl et al., 2023, section 5.2,
+//! and the code released with it).
 //!
-//! A Gaussian whose mean screen-space gradient reaches the threshold is *cloned* if it is small and *split* if it is
-//! large; afterwards faint and oversized ones are *pruned*, new ones included.
+//! A Gaussian whose mean screen-space gradient reaches the threshold is *cloned* if it is small and *split*
+//! if it is large; afterwards faint and oversized ones are *pruned*, new ones included.
 //!
-//! A cap, which the publication does not have, changes one thing: while it refuses growth, size is no reason to be
-//! pruned. Otherwise nothing would fill the place of distant walls (8 dB of held-out PSNR on a forward-facing scene).
+//! A cap, which the publication does not have, changes one thing: while it refuses growth, size is no reason
+//! to be pruned. Otherwise nothing would fill the place of distant walls (8 dB of held-out PSNR on a
+//! forward-facing scene).
 
 use genesplat_core::edit::new_log_scale;
 use genesplat_core::gaussians::sigmoid;
@@ -23,8 +24,8 @@ pub(crate) struct Rules {
     pub(crate) clone_size_max: f32,
     /// Gaussians fainter than this are pruned.
     pub(crate) prune_opacity: f32,
-    /// Gaussians larger than this are pruned, unless the cap turns growing ones away; longest axis, world units.
-    /// `None`: size is no reason.
+    /// Gaussians larger than this are pruned, unless the cap turns growing ones away; longest axis, world
+    /// units. `None`: size is no reason.
     pub(crate) prune_size: Option<f32>,
     /// Growth stops at this many Gaussians; the strongest gradients go first.
     pub(crate) cap: Option<usize>,
@@ -39,8 +40,15 @@ enum Growth {
 }
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
-pub(crate) fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
-    let mut growth: Vec<Growth> = (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, row)).collect();
+pub(crate) fn plan(
+    statistics: &Statistics,
+    genes: &[Genes],
+    rules: &Rules,
+    rng: Rng,
+    iteration: u32,
+) -> Plan {
+    let mut growth: Vec<Growth> =
+        (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, row)).collect();
     let refused = refuse_beyond_cap(&mut growth, statistics, rules);
     let mut edit = grow(&growth, rng, iteration);
     let grown_to = edit.sources.len();
@@ -65,8 +73,8 @@ fn wanted_growth(statistics: &Statistics, genes: &[Genes], rules: &Rules, row: u
     }
 }
 
-/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients go first, equal ones in row
-/// order. Returns how many were turned away.
+/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients go first, equal
+/// ones in row order. Returns how many were turned away.
 fn refuse_beyond_cap(growth: &mut [Growth], statistics: &Statistics, rules: &Rules) -> usize {
     let free = rules.cap.map_or(usize::MAX, |cap| cap.saturating_sub(growth.len()));
     let mut growing: Vec<usize> = (0..growth.len()).filter(|&row| growth[row] != Growth::None).collect();
@@ -80,8 +88,8 @@ fn refuse_beyond_cap(growth: &mut [Growth], statistics: &Statistics, rules: &Rul
     growing.len() - free
 }
 
-/// New rows lie beside the row that they come from, so that neighbours in space stay neighbours in memory. (The
-/// reference appends them at the end.)
+/// New rows lie beside the row that they come from, so that neighbours in space stay neighbours in memory.
+/// (The reference appends them at the end.)
 fn grow(growth: &[Growth], rng: Rng, iteration: u32) -> RowEdit {
     let mut edit = RowEdit::new(rng, iteration);
     for (row, found) in (0..).zip(growth) {
@@ -123,8 +131,13 @@ mod tests {
 
     use super::*;
 
-    const RULES: Rules =
-        Rules { gradient_threshold: 2e-4, clone_size_max: 0.1, prune_opacity: 0.005, prune_size: Some(1.0), cap: None };
+    const RULES: Rules = Rules {
+        gradient_threshold: 2e-4,
+        clone_size_max: 0.1,
+        prune_opacity: 0.005,
+        prune_size: Some(1.0),
+        cap: None,
+    };
     const KEPT: Origin = Origin::Kept;
     const FIRST: Origin = Origin::SplitChild { child: 0 };
     const SECOND: Origin = Origin::SplitChild { child: 1 };
@@ -211,7 +224,11 @@ mod tests {
     fn oversized_rows_stay_while_the_cap_turns_others_away() {
         let (statistics, genes) = scene(&[(3e-4, 0.5, 0.5), (3e-4, 1.5, 0.5), (0.0, 1.2, 0.5)]);
         let capped = |cap| decide(&statistics, &genes, &Rules { cap: Some(cap), ..RULES }, 3100);
-        assert_eq!(rows(&capped(3)), [(0, KEPT), (1, KEPT), (2, KEPT)], "no room: nothing would fill their place");
+        assert_eq!(
+            rows(&capped(3)),
+            [(0, KEPT), (1, KEPT), (2, KEPT)],
+            "no room: nothing would fill their place"
+        );
         assert_eq!(rows(&capped(5)), [(0, FIRST), (0, SECOND), (1, FIRST), (1, SECOND)], "room for all");
     }
 
@@ -224,7 +241,8 @@ mod tests {
 
     #[test]
     fn the_cap_serves_the_strongest_gradients() {
-        let (statistics, genes) = scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
+        let (statistics, genes) =
+            scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
         let capped = Rules { cap: Some(6), ..RULES };
         let plan = decide(&statistics, &genes, &capped, 600);
         assert_eq!(plan.edit.sources.len(), 6);

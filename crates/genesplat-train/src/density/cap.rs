@@ -4,14 +4,16 @@ use genesplat_core::View;
 
 use crate::config::TrainConfig;
 
-/// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same things.
+/// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same
+/// things.
 const PIXELS: f64 = 2.0;
 
-/// Gaussians for each root of the number of training pixels, which is the lower limit where photos have more than 20,000
-/// pixels (160 px): finer photos show the same with more of them. (Measured at 160 and 480 px.)
+/// Gaussians for each root of the number of training pixels, which is the lower limit where photos have more
+/// than 20,000 pixels (160 px): finer photos show the same with more of them. (Measured at 160 and 480 px.)
 const PER_ROOT_PIXEL: f64 = 70.0;
 
-/// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the lower limit from 45 photos on.
+/// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the lower limit from 45
+/// photos on.
 const PHOTO_PIXELS: f64 = 0.3;
 
 /// The most Gaussians that density control may grow to, by who says so.
@@ -21,7 +23,8 @@ pub(crate) struct Cap {
     asked: Option<usize>,
     /// The published limit of the density control, where it has one.
     published: Option<usize>,
-    /// What the photos can determine, with the method's `capacity`: with more, a cloud learns photos by heart.
+    /// What the photos can determine, with the method's `capacity`: with more, a cloud learns photos by
+    /// heart.
     from_photos: Option<usize>,
 }
 
@@ -33,12 +36,14 @@ impl Cap {
         Self { asked: config.max_gaussians, published, from_photos }
     }
 
-    /// The lower of what is asked for and what the photos can determine, or what is published where nobody says anything.
+    /// The lower of what is asked for and what the photos can determine, or what is published where nobody
+    /// says anything.
     pub(crate) fn get(self) -> Option<usize> {
         self.asked.into_iter().chain(self.from_photos).min().or(self.published)
     }
 
-    /// It cannot wait until that limit is reached: MCMC refuses nothing, so there would be nothing to tell then.
+    /// It cannot wait until that limit is reached: MCMC refuses nothing, so there would be nothing to tell
+    /// then.
     pub(crate) fn notice_of_lower_cap(self) -> Option<String> {
         self.asked.or(self.published)?;
         let from_photos = self.from_photos?;
@@ -51,17 +56,20 @@ impl Cap {
         })
     }
 
-    /// The limit of `cap` is reached in iteration `i`, and `refused` more wanted to grow; `is_last`: no densification
-    /// follows.
+    /// The limit of `cap` is reached in iteration `i`, and `refused` more wanted to grow; `is_last`: no
+    /// densification follows.
     pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
         let is_from_photos = self.from_photos == Some(cap) && self.asked != Some(cap);
         let source = if is_from_photos { " from the photos (method.capacity)" } else { "" };
         let rest = if is_last { "" } else { "; from now on there is only the room that pruning leaves" };
-        format!("iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}")
+        format!(
+            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}"
+        )
     }
 }
 
-/// How many Gaussians a run will end with, about: its cap or, without one, as many as the photos can determine.
+/// How many Gaussians a run will end with, about: its cap or, without one, as many as the photos can
+/// determine.
 pub fn expected_gaussians(config: &TrainConfig, views: &[View]) -> usize {
     Cap::new(config, views).get().unwrap_or_else(|| cap_from_photos(views, 1.0))
 }
@@ -113,7 +121,8 @@ mod tests {
         assert_eq!(cap(Mcmc, None, 0.0), Some(1_000_000));
         assert_eq!(cap(ImprovedGs, Some(7), 0.0), Some(7));
         let half = Arc::new(Mask { counts: (0..600).map(|pixel| pixel < 300).collect() });
-        let masked: Vec<View> = views.iter().map(|view| View { mask: Some(half.clone()), ..view.clone() }).collect();
+        let masked: Vec<View> =
+            views.iter().map(|view| View { mask: Some(half.clone()), ..view.clone() }).collect();
         assert_eq!(cap_from_photos(&masked, 1.0), 450, "what is hidden determines nothing");
         let many = vec![views[0].clone(); 100];
         assert_eq!(cap_from_photos(&many, 1.0), 2000, "600 pixels of one photo over 0.3");

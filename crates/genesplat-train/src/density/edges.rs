@@ -5,10 +5,10 @@ use genesplat_core::{Mask, Photo};
 /// Shares of red, green and blue in a grey value, of 2^16 (ITU-R 601; these and the rounding are Pillow's).
 const GREY: [u32; 3] = [19_595, 38_470, 7_471];
 
-/// How strong the edge is at each pixel of a photo, from 0 to 1 `[H, W]`: grey values under a 3x3 filter, 8 in the centre
-/// and -1 around, limited to 8 bits as in Pillow's `FIND_EDGES`, and stretched to the whole range. A photo of one colour
-/// has none, and neither have pixels whose filter touches one that `mask` hides. (What is beyond the border counts as the
-/// pixel itself; Pillow has the photo on the border.)
+/// How strong the edge is at each pixel of a photo, from 0 to 1 `[H, W]`: grey values under a 3x3 filter, 8
+/// in the centre and -1 around, limited to 8 bits as in Pillow's `FIND_EDGES`, and stretched to the whole
+/// range. A photo of one colour has none, and neither have pixels whose filter touches one that `mask` hides.
+/// (What is beyond the border counts as the pixel itself; Pillow has the photo on the border.)
 pub(crate) fn edges(photo: &Photo, mask: Option<&Mask>) -> Vec<f32> {
     let greys: Vec<i32> = photo.rgb.as_chunks().0.iter().map(|&rgb| grey(rgb)).collect();
     let counts = |pixel: usize| mask.is_none_or(|mask| mask.counts[pixel]);
@@ -55,7 +55,8 @@ mod tests {
         let mut rgb = vec![0; 27];
         rgb[12..15].copy_from_slice(&[100, 0, 0]);
         rgb[24..27].copy_from_slice(&[0, 100, 200]);
-        // Greys 30 (of 29.9) and 82 (of 81.5): in the centre 8 · 30 − 82 = 158, at the lower right 3 · 82 − 30 = 216.
+        // Greys 30 (of 29.9) and 82 (of 81.5): in the centre 8 · 30 − 82 = 158, at the lower right 3 · 82 −
+        // 30 = 216.
         let expected: [f32; 9] = [0.0, 0.0, 0.0, 0.0, 158.0, 0.0, 0.0, 0.0, 216.0];
         assert_eq!(edges(&Photo { width: 3, height: 3, rgb }, None), expected.map(|level| level / 216.0));
         let bright = Photo { width: 4, height: 1, rgb: vec![0, 0, 0, 255, 255, 255, 0, 0, 0, 128, 128, 128] };

@@ -1,7 +1,7 @@
 //! Density control: where Gaussians are added and removed.
 //!
-//! A plan is pure: it reads statistics and genes, and says which rows there will be. The device applies it. Which plan a
-//! method follows, and with what thresholds, is in its file below `method/`.
+//! A plan is pure: it reads statistics and genes, and says which rows there will be. The device applies it.
+//! Which plan a method follows, and with what thresholds, is in its file below `method/`.
 
 pub(crate) mod adaptive;
 pub(crate) mod cap;

@@ -1,10 +1,10 @@
 //! 3DGS-MCMC's density control: dead Gaussians move to living ones, and a few more are added, up to a cap.
 //!
-//! A Gaussian that is *relocated* becomes a copy of a living one, drawn in proportion to opacity; one that is *added*
-//! likewise. All `n` copies that then share a place get an opacity and a scale at which together they render (nearly)
-//! like the one before. No gradient is looked at.
-//! Reference: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024, Eq. 9 and appendix;
-//! constants of gsplat.
+//! A Gaussian that is *relocated* becomes a copy of a living one, drawn in proportion to opacity; one that is
+//! *added* likewise. All `n` copies that then share a place get an opacity and a scale at which together they
+//! render (nearly) like the one before. No gradient is looked at.
+//! Reference: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024, Eq. 9 and
+//! appendix; constants of gsplat.
 
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::genes::opacity_logit;
@@ -13,7 +13,8 @@ use genesplat_core::{Genes, Origin, Rng, RowEdit, Stream};
 
 use super::Plan;
 
-/// At most this many copies are accounted for where they share a place (the authors' kernel has a table of this size).
+/// At most this many copies are accounted for where they share a place (the authors' kernel has a table of
+/// this size).
 const SHARERS_MAX: u32 = 51;
 
 /// Opacities stay this far below 1, where the logit would be infinite (f32's epsilon).
@@ -46,10 +47,11 @@ struct Row {
 
 /// Decides one event from the opacities in `genes` `[N, 7]`; `iteration` addresses the random draws.
 ///
-/// Copies lie beside the row that they are of. Relocated Gaussians and their targets lose their moments; added ones
-/// have none, and their targets keep theirs.
+/// Copies lie beside the row that they are of. Relocated Gaussians and their targets lose their moments;
+/// added ones have none, and their targets keep theirs.
 pub(crate) fn plan(genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
-    let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, opacity_logit(genes))).collect();
+    let mut rows: Vec<Row> =
+        genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, opacity_logit(genes))).collect();
     let relocated = relocate(&mut rows, rules, &rng, iteration);
     let cloned = grow(&mut rows, rules, &rng, iteration);
     rows.sort_by_key(|row| row.source);
@@ -63,7 +65,8 @@ fn relocate(rows: &mut [Row], rules: &Rules, rng: &Rng, iteration: u32) -> usize
     let is_dead = |row: &Row| row.opacity <= f64::from(rules.min_opacity);
     let dead: Vec<usize> = (0..rows.len()).filter(|&row| is_dead(&rows[row])).collect();
     let lottery = Lottery::new(rows.iter().map(|row| if is_dead(row) { 0.0 } else { row.opacity }));
-    let targets = lottery.draw(dead.len(), |draw| rng.at(Stream::Relocation, iteration, draw, FOR_RELOCATION));
+    let targets =
+        lottery.draw(dead.len(), |draw| rng.at(Stream::Relocation, iteration, draw, FOR_RELOCATION));
     share_places(rows, &targets, rules);
     for (&dead, &target) in dead.iter().zip(&targets) {
         rows[target].keeps_moments = false;
@@ -97,11 +100,11 @@ fn share_places(rows: &mut [Row], targets: &[usize], rules: &Rules) {
     }
 }
 
-/// Opacity of each of `n` Gaussians at one place that together have the given one at their centre, and the factor on
-/// their scales at which the sum along any line through the centre is that of the one they replace.
+/// Opacity of each of `n` Gaussians at one place that together have the given one at their centre, and the
+/// factor on their scales at which the sum along any line through the centre is that of the one they replace.
 ///
-/// `o' = 1 − (1 − o)^(1/n)`, `s'/s = o / Σ_{j=1..n} C(n, j) (−1)^(j+1) o'^j / sqrt(j)`: the paper's double sum over `i
-/// ≤ n` and `k < i`, whose binomials add up along `i`.
+/// `o' = 1 − (1 − o)^(1/n)`, `s'/s = o / Σ_{j=1..n} C(n, j) (−1)^(j+1) o'^j / sqrt(j)`: the paper's double
+/// sum over `i ≤ n` and `k < i`, whose binomials add up along `i`.
 fn shared(opacity: f64, n: u32) -> (f64, f64) {
     let opacity = opacity.min(1.0 - OPAQUE_MARGIN);
     let each = 1.0 - (1.0 - opacity).powf(1.0 / f64::from(n));

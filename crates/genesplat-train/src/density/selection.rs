@@ -1,17 +1,19 @@
 //! Selection: Improved-GS's density control. It splits where photos have edges, along the longest
 //! axis, up to a budget, and removes what recovers slowly.
 //!
-//! A Gaussian whose absolute screen-space gradient reaches the threshold is a candidate. Of these, as many as the budget
-//! leaves room for are drawn, in proportion to how much of the photos' edges they stand for ([`super::edges`]), and each is
-//! replaced by two that share its longest axis. Nothing is cloned. What is faint goes, and after a reset the part of the
-//! cloud that has recovered its opacity least: it was there to overfit.
-//! Reference: Deng et al., "Improving Densification in 3D Gaussian Splatting for High-Fidelity Rendering", 2025, and the
-//! code released with it; DashGaussian grows to a budget, too. Where they do not say, faint rows go first, so that room is
-//! counted without them.
+//! A Gaussian whose absolute screen-space gradient reaches the threshold is a candidate. Of these, as many as
+//! the budget leaves room for are drawn, in proportion to how much of the photos' edges they stand for
+//! ([`super::edges`]), and each is replaced by two that share its longest axis. Nothing is cloned. What is
+//! faint goes, and after a reset the part of the cloud that has recovered its opacity least: it was there to
+//! overfit. Reference: Deng et al., "Improving Densification in 3D Gaussian Splatting for High-Fidelity
+//! Rendering", 2025, and the code released with it; DashGaussian grows to a budget, too. Where they do not
+//! say, faint rows go first, so that room is counted without them.
 
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::genes::opacity_logit;
-use genesplat_core::{BackendError, Device, Genes, Origin, RenderSettings, Rng, RowEdit, Statistics, Stream, View};
+use genesplat_core::{
+    BackendError, Device, Genes, Origin, RenderSettings, Rng, RowEdit, Statistics, Stream, View,
+};
 
 use super::Plan;
 use super::edges::edges;
@@ -20,14 +22,15 @@ use crate::scene::views::ViewOrder;
 /// Which streams the order of these views is drawn from.
 const SCORE_ORDER: u32 = u32::MAX;
 
-/// Bytes of weights that are held at once, on the host and on the device, 128 MiB: half of the smallest limit that devices
-/// have for a buffer. Views are weighed in as few batches as that allows.
+/// Bytes of weights that are held at once, on the host and on the device, 128 MiB: half of the smallest limit
+/// that devices have for a buffer. Views are weighed in as few batches as that allows.
 const WEIGHTS_BYTES: usize = 128 << 20;
 
 /// Thresholds of one densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Rules {
-    /// Mean absolute screen-space gradient from which a Gaussian may be split, in normalised device coordinates.
+    /// Mean absolute screen-space gradient from which a Gaussian may be split, in normalised device
+    /// coordinates.
     pub(crate) gradient_threshold: f32,
     /// Gaussians that there may be afterwards; more that are there already stay.
     pub(crate) budget: usize,
@@ -37,7 +40,8 @@ pub(crate) struct Rules {
     pub(crate) prune_fraction: f64,
 }
 
-/// Decides one densification; `scores` say how much each row is worth splitting `[N]`, and `iteration` addresses the draw.
+/// Decides one densification; `scores` say how much each row is worth splitting `[N]`, and `iteration`
+/// addresses the draw.
 pub(crate) fn plan(
     statistics: &Statistics,
     genes: &[Genes],
@@ -48,8 +52,9 @@ pub(crate) fn plan(
 ) -> Plan {
     let pruned = pruned(genes, rules);
     let kept = pruned.iter().filter(|&&pruned| !pruned).count();
-    let may_split =
-        |row: usize| !pruned[row] && scores[row] > 0.0 && statistics.mean_gradient(row) >= rules.gradient_threshold;
+    let may_split = |row: usize| {
+        !pruned[row] && scores[row] > 0.0 && statistics.mean_gradient(row) >= rules.gradient_threshold
+    };
     let candidates: Vec<usize> = (0..genes.len()).filter(|&row| may_split(row)).collect();
     let drawn = draw(&candidates, scores, rules.budget.saturating_sub(kept), rng, iteration);
     let mut splits = vec![false; genes.len()];
@@ -67,10 +72,12 @@ pub(crate) fn plan(
     Plan { split: drawn.len(), pruned: genes.len() - kept, refused, ..Plan::of(edit) }
 }
 
-/// Which rows go: all that are too faint, and at least the given part of the cloud; equally faint ones in row order.
+/// Which rows go: all that are too faint, and at least the given part of the cloud; equally faint ones in row
+/// order.
 fn pruned(genes: &[Genes], rules: &Rules) -> Vec<bool> {
     let opacity = |row: usize| opacity_logit(&genes[row]);
-    let mut pruned: Vec<bool> = (0..genes.len()).map(|row| sigmoid(opacity(row)) < rules.prune_opacity).collect();
+    let mut pruned: Vec<bool> =
+        (0..genes.len()).map(|row| sigmoid(opacity(row)) < rules.prune_opacity).collect();
     let slow = (rules.prune_fraction * genes.len() as f64) as usize;
     if slow > 0 {
         let mut rows: Vec<usize> = (0..genes.len()).collect();
@@ -89,7 +96,8 @@ fn draw(candidates: &[usize], scores: &[f32], room: usize, rng: Rng, iteration: 
     }
     let key = |row: usize| {
         // Above 0, so that the logarithm is finite.
-        let u = (f64::from(rng.at(Stream::SplitChoice, iteration, row as u32, 0).0[0]) + 0.5) / 4_294_967_296.0;
+        let u =
+            (f64::from(rng.at(Stream::SplitChoice, iteration, row as u32, 0).0[0]) + 0.5) / 4_294_967_296.0;
         u.ln() / f64::from(scores[row])
     };
     let mut keyed: Vec<(f64, usize)> = candidates.iter().map(|&row| (key(row), row)).collect();
@@ -106,8 +114,9 @@ pub(crate) fn views_of_turn(views: usize, wanted: usize, first: u32, rng: Rng) -
     (first..first + wanted as u32).map(|visit| order.view(visit)).collect()
 }
 
-/// How much each Gaussian stands for the edges of `shown`, which are some of the training views `[N]`: its blending weights
-/// times the edge at each pixel, in multiples of the mean of all Gaussians that have any; the mean over these views.
+/// How much each Gaussian stands for the edges of `shown`, which are some of the training views `[N]`: its
+/// blending weights times the edge at each pixel, in multiples of the mean of all Gaussians that have any;
+/// the mean over these views.
 pub fn edge_scores(
     backend: &mut dyn Device,
     views: &[View],
@@ -138,12 +147,14 @@ mod tests {
 
     use super::*;
 
-    const RULES: Rules = Rules { gradient_threshold: 3e-4, budget: 100, prune_opacity: 0.005, prune_fraction: 0.0 };
+    const RULES: Rules =
+        Rules { gradient_threshold: 3e-4, budget: 100, prune_opacity: 0.005, prune_fraction: 0.0 };
 
     /// Rows of these gradients and opacities, seen once.
     fn cloud(rows: &[(f32, f32)]) -> (Statistics, Vec<Genes>) {
         let gradient_sum = rows.iter().map(|row| row.0).collect();
-        let statistics = Statistics { gradient_sum, weight_sum: vec![1.0; rows.len()], ..Statistics::default() };
+        let statistics =
+            Statistics { gradient_sum, weight_sum: vec![1.0; rows.len()], ..Statistics::default() };
         (statistics, rows.iter().map(|row| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, logit(row.1)]).collect())
     }
 
@@ -174,7 +185,10 @@ mod tests {
         let rows = [(1.0, 0.5), (1.0, 0.5), (1.0, 0.001), (1.0, 0.5), (1.0, 0.5)];
         for (budget, split) in [(0, 0), (4, 0), (5, 1), (7, 3), (8, 4), (9, 4)] {
             let decided = decided(&rows, &[1.0; 5], &Rules { budget, ..RULES }, 600);
-            assert_eq!((decided.split, decided.refused, decided.edit.sources.len()), (split, 4 - split, 4 + split));
+            assert_eq!(
+                (decided.split, decided.refused, decided.edit.sources.len()),
+                (split, 4 - split, 4 + split)
+            );
         }
     }
 
@@ -191,14 +205,15 @@ mod tests {
         assert_eq!(pruned(0.01, 0.6), [1, 3, 4]);
     }
 
-    /// Of rows with scores 1, 2 and 5, one at a time: their shares are an eighth, a quarter and the rest; of two drawn
-    /// without replacement, the least is among them at 1/8 + 2/8 · 1/6 + 5/8 · 1/3 = 3/8.
+    /// Of rows with scores 1, 2 and 5, one at a time: their shares are an eighth, a quarter and the rest; of
+    /// two drawn without replacement, the least is among them at 1/8 + 2/8 · 1/6 + 5/8 · 1/3 = 3/8.
     #[test]
     fn rows_are_drawn_in_proportion_to_their_scores() {
         let rows = [(1.0, 0.5); 3];
         let (mut one, mut least_of_two) = ([0u32; 3], 0u32);
         for iteration in 0..8000 {
-            let drawn = |budget| fate(&decided(&rows, &[1.0, 2.0, 5.0], &Rules { budget, ..RULES }, iteration), 3).0;
+            let drawn =
+                |budget| fate(&decided(&rows, &[1.0, 2.0, 5.0], &Rules { budget, ..RULES }, iteration), 3).0;
             one[drawn(4)[0] as usize] += 1;
             least_of_two += u32::from(drawn(5)[0] == 0);
         }

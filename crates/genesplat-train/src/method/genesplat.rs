@@ -1,11 +1,12 @@
-//! Ours: Improved-GS's selection, which splits where photos have edges and prunes what recovers slowly from a reset,
-//! below a cap from the photos.
+//! Ours: Improved-GS's selection, which splits where photos have edges and prunes what recovers slowly from a
+//! reset, below a cap from the photos.
 //!
 //! What differs from [`super::improved_gs`]:
 //! 1. the whole schedule fits into the run, however long it is;
 //! 2. the cap is what the photos can determine (`capacity`), so that the cloud cannot learn them by heart;
 //! 3. it grows by the power 1.5 of the iterations and not by their root (`gradual_growth`);
-//! 4. the mean of the last two fifths of the states is the result, and stands for the large steps (`averaging`);
+//! 4. the mean of the last two fifths of the states is the result, and stands for the large steps
+//!    (`averaging`);
 //! 5. where each photo is seen often, some late steps look at virtual views (`virtual_views`).
 //!
 //! What it is worth: docs/evolution.md.
@@ -20,14 +21,16 @@ use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::timeline::{Event, Growth, Length, Timeline, When};
 
-/// Slower than evenly at first, when photos were hardly looked at. (On validation photos at 480 px, 2 and 1 are worse.)
+/// Slower than evenly at first, when photos were hardly looked at. (On validation photos at 480 px, 2 and 1
+/// are worse.)
 const POWER: f64 = 1.5;
 
-/// A shorter run grows along Improved-GS's root: a cloud that is small for half of so short a run never catches up.
+/// A shorter run grows along Improved-GS's root: a cloud that is small for half of so short a run never
+/// catches up.
 const GRADUAL_MIN: u32 = 5000;
 
-/// Training views that have a say in the densification after one that pruned what was slow, at most, as a fraction of
-/// the run's steps: with tens of thousands of photos, all would take longer than the whole run.
+/// Training views that have a say in the densification after one that pruned what was slow, at most, as a
+/// fraction of the run's steps: with tens of thousands of photos, all would take longer than the whole run.
 const SCORED: f64 = 0.02;
 
 /// Fraction of a run before which the cloud has nothing to show that later states should hold fast.
@@ -93,12 +96,13 @@ impl Method for Genesplat {
     }
 }
 
-/// Their pictures are made, or renewed, just before resets, when opacities have had most time to recover, and later as
-/// often as the cloud was densified.
+/// Their pictures are made, or renewed, just before resets, when opacities have had most time to recover, and
+/// later as often as the cloud was densified.
 fn add_virtual_views(timeline: &mut Timeline, length: Length) {
     let from = length.part(VIRTUAL_FROM);
     let resets = timeline.periodic_resets();
     let late = When::multiples(timeline.densify.every, from.max(timeline.reset_until), timeline.iterations);
-    timeline.add(Event::RefreshVirtualViews, When::multiples(resets.every, from, resets.last.saturating_add(1)));
+    timeline
+        .add(Event::RefreshVirtualViews, When::multiples(resets.every, from, resets.last.saturating_add(1)));
     timeline.add(Event::RefreshVirtualViews, late);
 }

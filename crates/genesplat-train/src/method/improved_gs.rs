@@ -1,11 +1,12 @@
-//! Improved-GS: splits where photos have edges, along the longest axis, up to a budget; prunes soon after a reset what
-//! recovers slowly; late steps of the optimiser have the gradients of several views; rates are lower.
+//! Improved-GS: splits where photos have edges, along the longest axis, up to a budget; prunes soon after a
+//! reset what recovers slowly; late steps of the optimiser have the gradients of several views; rates are
+//! lower.
 //!
-//! Deng et al., "Improving Densification in 3D Gaussian Splatting for High-Fidelity Rendering", 2025, and the code
-//! released with it, whose numbers are here. Its published figures are the best of three repeats.
+//! Deng et al., "Improving Densification in 3D Gaussian Splatting for High-Fidelity Rendering", 2025, and the
+//! code released with it, whose numbers are here. Its published figures are the best of three repeats.
 //!
-//! Ours alone: averaging, which then stands for the large steps (both take noise out of late steps of one view), and a
-//! budget from the photos (`capacity`).
+//! Ours alone: averaging, which then stands for the large steps (both take noise out of late steps of one
+//! view), and a budget from the photos (`capacity`).
 
 use genesplat_core::DensitySignal;
 
@@ -20,7 +21,8 @@ use crate::timeline::{Growth, Length, RECOVERY, Recovery, Timeline};
 /// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
 pub(super) const CAP: usize = 1_000_000;
 
-/// The budget is full after so many of the iterations that density control has, whole ones so that the ratio is exact.
+/// The budget is full after so many of the iterations that density control has, whole ones so that the ratio
+/// is exact.
 pub(super) const FULL: [f64; 2] = [14_000.0, 14_500.0];
 
 /// Of which it grows along the root.
@@ -38,7 +40,8 @@ const RECOVERED_OPACITY: f32 = 0.02;
 /// Part of the cloud that is then pruned for having recovered slowly.
 const SLOW_FRACTION: f64 = 0.2;
 
-/// The threshold is divided by this once the budget is full: what was pruned is replaced by any that is somewhat wanted.
+/// The threshold is divided by this once the budget is full: what was pruned is replaced by any that is
+/// somewhat wanted.
 const LATE_EASING: f32 = 1.5;
 
 /// After so many iterations, steps of the optimiser are of so many views.
@@ -107,14 +110,15 @@ impl Method for ImprovedGs {
 
 /// Its density control and resets.
 pub(super) fn timeline(config: &TrainConfig, length: Length) -> Timeline {
-    let mut timeline = Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
+    let mut timeline =
+        Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
     timeline.growth = Growth::Ramp { full: FULL, power: POWER };
     timeline.recovery = Some(Recovery { after: length.interval(RECOVERY), until: length.scaled(SLOW_UNTIL) });
     timeline
 }
 
-/// Splits and prunes; in the densification after one that pruned what was slow, as many as `most_views` views have a
-/// say.
+/// Splits and prunes; in the densification after one that pruned what was slow, as many as `most_views` views
+/// have a say.
 pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> Result<Plan, TrainError> {
     let (rules, statistics) = (rules(trainer, i), trainer.backend.statistics()?);
     let genes = trainer.finite_genes()?;
@@ -124,8 +128,12 @@ pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> R
     } else {
         let is_after = i > timeline.densify.every && timeline.prunes_slow(i - timeline.densify.every);
         let (wanted, turn) = (if is_after { most_views } else { SCORE_VIEWS }, i / timeline.densify.every);
-        let shown =
-            selection::views_of_turn(trainer.run.views.len(), wanted, turn * SCORE_VIEWS as u32, trainer.run.rng);
+        let shown = selection::views_of_turn(
+            trainer.run.views.len(),
+            wanted,
+            turn * SCORE_VIEWS as u32,
+            trainer.run.rng,
+        );
         let settings = trainer.settings(i);
         selection::edge_scores(trainer.backend, trainer.run.views, &shown, &settings)?
     };
@@ -133,7 +141,8 @@ pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> R
 }
 
 fn rules(trainer: &Trainer<'_>, i: u32) -> selection::Rules {
-    let (timeline, threshold) = (trainer.run.schedule.timeline(), trainer.run.config().method.gradient_threshold);
+    let (timeline, threshold) =
+        (trainer.run.schedule.timeline(), trainer.run.config().method.gradient_threshold);
     let cap = trainer.run.cap.get().unwrap_or(CAP);
     selection::Rules {
         gradient_threshold: if timeline.is_full(i) { threshold / LATE_EASING } else { threshold },

@@ -1,9 +1,10 @@
-//! 3DGS-MCMC: Gaussians wander (noise is added to their positions), dead ones move to living ones, and a few more are
-//! added each time, up to a limit, until five sixths of the run. Nothing is reset, and no gradient is looked at.
+//! 3DGS-MCMC: Gaussians wander (noise is added to their positions), dead ones move to living ones, and a few
+//! more are added each time, up to a limit, until five sixths of the run. Nothing is reset, and no gradient
+//! is looked at.
 //!
-//! Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024; constants of gsplat, which
-//! reproduces the published numbers. What is in the scene's units there is so here, but for scenes whose extent is below
-//! 1 or above 10, which are measured as if it were that.
+//! Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024; constants of gsplat,
+//! which reproduces the published numbers. What is in the scene's units there is so here, but for scenes
+//! whose extent is below 1 or above 10, which are measured as if it were that.
 
 use genesplat_core::backend::McmcStep;
 use genesplat_core::gaussians::logit;
@@ -76,7 +77,8 @@ impl Method for Mcmc {
 
     fn densify(&self, trainer: &mut Trainer<'_>, i: u32) -> Result<Plan, TrainError> {
         let cap = trainer.run.cap.get().unwrap_or(CAP);
-        let rules = relocation::Rules { min_opacity: MIN_OPACITY, growth: trainer.run.config().method.growth, cap };
+        let rules =
+            relocation::Rules { min_opacity: MIN_OPACITY, growth: trainer.run.config().method.growth, cap };
         Ok(relocation::plan(&trainer.finite_genes()?, &rules, trainer.run.rng, i))
     }
 
@@ -94,7 +96,12 @@ impl Method for Mcmc {
         cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += INITIAL_SCALE.ln());
     }
 
-    fn beside_the_step(&self, trainer: &Trainer<'_>, rates: &LearningRates, counter: u32) -> Option<McmcStep> {
+    fn beside_the_step(
+        &self,
+        trainer: &Trainer<'_>,
+        rates: &LearningRates,
+        counter: u32,
+    ) -> Option<McmcStep> {
         let (config, unit) = (trainer.run.config(), unit_of(trainer.run.extent) as f32);
         // Each of a step's views brings its own regularisers, as in the published loss.
         let views = config.views_per_step as f32;

@@ -1,8 +1,8 @@
-//! Mip-Splatting: 3DGS with two filters against aliasing. A 3D filter keeps each Gaussian as large as the photos can
-//! resolve it, a 2D filter stands for a pixel's area and dims what it widens.
+//! Mip-Splatting: 3DGS with two filters against aliasing. A 3D filter keeps each Gaussian as large as the
+//! photos can resolve it, a 2D filter stands for a pixel's area and dims what it widens.
 //!
-//! Yu et al., "Mip-Splatting: Alias-free 3D Gaussian Splatting", CVPR 2024, and its code. Its later releases grow by the
-//! gradients of Gaussian Opacity Fields; here are the published ones.
+//! Yu et al., "Mip-Splatting: Alias-free 3D Gaussian Splatting", CVPR 2024, and its code. Its later releases
+//! grow by the gradients of Gaussian Opacity Fields; here are the published ones.
 
 use genesplat_core::{DensitySignal, ScreenFilter};
 
@@ -25,12 +25,14 @@ impl Method for MipSplatting {
         &threedgs::SETTINGS
     }
 
-    /// The 3D filter is computed anew after each densification, and later now and then until shortly before the end.
+    /// The 3D filter is computed anew after each densification, and later now and then until shortly before
+    /// the end.
     fn timeline(&self, config: &TrainConfig) -> Timeline {
         let mut timeline = threedgs::timeline(config, Length::of(config));
         let (densify, end) = (timeline.densify, timeline.iterations.saturating_sub(timeline.densify.every));
         timeline.add(Event::RefreshFilter, timeline.densifications());
-        timeline.add(Event::RefreshFilter, When::multiples(densify.every, densify.until.saturating_add(1), end));
+        timeline
+            .add(Event::RefreshFilter, When::multiples(densify.every, densify.until.saturating_add(1), end));
         timeline
     }
 

@@ -1,7 +1,7 @@
 //! The methods, one file each: what is published, and ours.
 //!
-//! A [`Method`] says when what happens (its timeline), what a densification does, and what its settings are by
-//! default. The pipeline walks the timeline of any of them. To add one: copy the nearest file, give it a
+//! A [`Method`] says when what happens (its timeline), what a densification does, and what its settings are
+//! by default. The pipeline walks the timeline of any of them. To add one: copy the nearest file, give it a
 //! [`MethodName`], and list it in [`MethodName::method`].
 
 use std::fmt;
@@ -29,7 +29,8 @@ pub use settings::MethodConfig;
 /// Which method is trained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MethodName {
-    /// Ours: Improved-GS's density control up to what the photos can determine, slower growth, averages, virtual views.
+    /// Ours: Improved-GS's density control up to what the photos can determine, slower growth, averages,
+    /// virtual views.
     #[default]
     #[serde(rename = "genesplat")]
     Genesplat,
@@ -42,7 +43,8 @@ pub enum MethodName {
     /// Mip-Splatting (Yu et al. 2024): a 2D and a 3D filter against aliasing.
     #[serde(rename = "mip-splatting")]
     MipSplatting,
-    /// 3DGS-MCMC (Kheradmand et al. 2024): exploration noise and relocation instead of density control and resets.
+    /// 3DGS-MCMC (Kheradmand et al. 2024): exploration noise and relocation instead of density control and
+    /// resets.
     #[serde(rename = "mcmc")]
     Mcmc,
     /// Improved-GS (Deng et al. 2025): splits where edges are, along the longest axis, up to a budget.
@@ -147,7 +149,12 @@ pub(crate) trait Method: Sync {
     fn prepare(&self, _cloud: &mut Gaussians) {}
 
     /// What it adds to a step of the optimiser, which counts as the `counter`-th.
-    fn beside_the_step(&self, _trainer: &Trainer<'_>, _rates: &LearningRates, _counter: u32) -> Option<McmcStep> {
+    fn beside_the_step(
+        &self,
+        _trainer: &Trainer<'_>,
+        _rates: &LearningRates,
+        _counter: u32,
+    ) -> Option<McmcStep> {
         None
     }
 }

@@ -1,6 +1,6 @@
-//! Pixel-GS: 3DGS with another density signal. Each view's gradient counts as often as it has pixels of the Gaussian, so
-//! that large ones in sparse places grow; near the camera it is scaled by `min(1, (z / (0.37 · extent))²)`, where that
-//! would grow floaters.
+//! Pixel-GS: 3DGS with another density signal. Each view's gradient counts as often as it has pixels of the
+//! Gaussian, so that large ones in sparse places grow; near the camera it is scaled by `min(1, (z / (0.37 ·
+//! extent))²)`, where that would grow floaters.
 //!
 //! Zhang et al., "Pixel-GS: Density Control with Pixel-aware Gradient for 3D Gaussian Splatting", ECCV 2024.
 

@@ -48,8 +48,8 @@ macro_rules! settings {
 settings! {
     /// Rate of positions at the start, in scene extents; above 0.
     position_rate_start: f64,
-    /// Rate of positions at the end, in scene extents; above 0. It decays exponentially over 30,000 iterations, with
-    /// `genesplat` over the run.
+    /// Rate of positions at the end, in scene extents; above 0. It decays exponentially over 30,000
+    /// iterations, with `genesplat` over the run.
     position_rate_end: f64,
     /// Rate of the base colour; that of the view-dependent colour is a twentieth of it. Not negative.
     feature_rate: f64,
@@ -63,35 +63,36 @@ settings! {
     densify_until: u32,
     /// Iterations between two densifications; at least 1.
     densify_every: u32,
-    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates; above 0. Lower grows
-    /// more Gaussians.
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates; above 0.
+    /// Lower grows more Gaussians.
     gradient_threshold: f32,
-    /// Larger Gaussians are pruned once the first reset is due, in scene extents; above 0. (In forward-facing scenes
-    /// walls and floors are larger than the published size, and are lost; 10 keeps them.)
+    /// Larger Gaussians are pruned once the first reset is due, in scene extents; above 0. (In forward-facing
+    /// scenes walls and floors are larger than the published size, and are lost; 10 keeps them.)
     prune_size: f64,
     /// Iterations between two opacity resets; at least 1.
     reset_every: u32,
     /// Fraction of Gaussians added each time, until the limit is reached; not negative.
     growth: f64,
-    /// Exploration noise, in multiples of the position rate; not negative. As in the authors' code it is in the scene's
-    /// own units: its reach grows with the square of the cameras' extent (gsplat brings scenes to an extent of about 1
-    /// first). A scene whose extent is below 1 or above 10 is measured as if it were 1 or 10.
+    /// Exploration noise, in multiples of the position rate; not negative. As in the authors' code it is in
+    /// the scene's own units: its reach grows with the square of the cameras' extent (gsplat brings scenes to
+    /// an extent of about 1 first). A scene whose extent is below 1 or above 10 is measured as if it were 1
+    /// or 10.
     noise: f32,
     /// Weight of the mean opacity in the loss; not negative. Higher leaves more Gaussians to relocate.
     opacity_weight: f32,
     /// Weight of the mean scale in the loss, in the same units; not negative. Higher makes Gaussians smaller.
     scale_weight: f32,
-    /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to; 0 for no such limit.
-    /// That number is the least of their pixels over 2 · √photos, 70 times the root of their pixels, and the pixels of
-    /// one photo over 0.3. A lower `max_gaussians` counts.
+    /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to; 0 for no
+    /// such limit. That number is the least of their pixels over 2 · √photos, 70 times the root of their
+    /// pixels, and the pixels of one photo over 0.3. A lower `max_gaussians` counts.
     capacity: f64,
     /// The cloud approaches its limit by the power 1.5 of the iterations of density control, and not along
     /// Improved-GS's root. (A run of less than 5,000 iterations follows the root in any case.)
     gradual_growth: bool,
     /// The mean of the states of the last two fifths of the run is the result.
     averaging: bool,
-    /// A run that looks at each photo so often also trains on virtual views: every second step of its last 70 % with at
-    /// most 16 photos, and fewer with more. 0 for never.
+    /// A run that looks at each photo so often also trains on virtual views: every second step of its last 70
+    /// % with at most 16 photos, and fewer with more. 0 for never.
     virtual_views: u32,
 }
 
@@ -126,7 +127,9 @@ impl<'de> Deserialize<'de> for MethodConfig {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let named = match NameOrTable::deserialize(deserializer)? {
             NameOrTable::Name(name) => return by_name(&name).map(Self::of).map_err(Error::custom),
-            NameOrTable::Table(table) => table.try_into::<Named>().map_err(|error| Error::custom(error.message()))?,
+            NameOrTable::Table(table) => {
+                table.try_into::<Named>().map_err(|error| Error::custom(error.message()))?
+            }
         };
         let name = named.name.unwrap_or_default();
         let own = name.method().own_settings();

@@ -1,11 +1,13 @@
-//! 3D Gaussian Splatting: where the image-space gradient stays large, Gaussians are cloned or split; faint and oversized
-//! ones are pruned; every 3,000 iterations opacities fall to at most 0.01, and gradients earn them anew.
+//! 3D Gaussian Splatting: where the image-space gradient stays large, Gaussians are cloned or split; faint
+//! and oversized ones are pruned; every 3,000 iterations opacities fall to at most 0.01, and gradients earn
+//! them anew.
 //!
-//! Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", ACM Transactions on Graphics 42, 2023,
-//! and the code released with it, quirks included: a densification loses a step of the optimiser, size prunes only after
-//! the first reset is due, the rate of opacities is 0.05 (0.025 in later releases).
+//! Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", ACM Transactions on Graphics
+//! 42, 2023, and the code released with it, quirks included: a densification loses a step of the optimiser,
+//! size prunes only after the first reset is due, the rate of opacities is 0.05 (0.025 in later releases).
 //!
-//! Ours alone: a cap (`max_gaussians`, `capacity`), which serves the strongest gradients first, and averaging.
+//! Ours alone: a cap (`max_gaussians`, `capacity`), which serves the strongest gradients first, and
+//! averaging.
 
 use genesplat_core::DensitySignal;
 
@@ -87,10 +89,11 @@ impl Method for ThreeDgs {
     }
 }
 
-/// Towards what the photos can determine it grows evenly: what is wanted first, of photos that were hardly looked at, is
-/// not what is needed most, and a small cloud takes less time.
+/// Towards what the photos can determine it grows evenly: what is wanted first, of photos that were hardly
+/// looked at, is not what is needed most, and a small cloud takes less time.
 pub(super) fn timeline(config: &TrainConfig, length: Length) -> Timeline {
-    let mut timeline = Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
+    let mut timeline =
+        Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
     if config.method.capacity > 0.0 {
         timeline.growth = Growth::Even;
     }

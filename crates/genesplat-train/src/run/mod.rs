@@ -19,7 +19,8 @@ use observe::StageRecord;
 pub enum Start {
     /// The points of a sparse reconstruction.
     Points(Vec<ColouredPoint>),
-    /// A cloud from elsewhere; the schedule starts at its beginning, with all degrees of the spherical harmonics.
+    /// A cloud from elsewhere; the schedule starts at its beginning, with all degrees of the spherical
+    /// harmonics.
     Cloud(Gaussians),
     /// A stopped run; it goes on as if it had never stopped, provided that the configuration is the same.
     Checkpoint(Box<Checkpoint>),
@@ -58,7 +59,8 @@ pub struct RunSummary {
 }
 
 impl RunSummary {
-    /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no step.
+    /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no
+    /// step.
     pub fn checkpoint_at_end(&self, backend: &mut dyn Device) -> Result<Checkpoint, TrainError> {
         let progress = Progress {
             sh_degree_start: 0,
@@ -110,13 +112,17 @@ pub enum TrainError {
         near: f64,
     },
     /// Pruning left nothing.
-    #[error("every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together")]
+    #[error(
+        "every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together"
+    )]
     NothingLeft {
         /// Counted from 1.
         iteration: u32,
     },
     /// The base cannot be scored, so nothing can be compared with it.
-    #[error("the cloud renders to a loss of {loss} at iteration {iteration}, so evolution has nothing to compare with")]
+    #[error(
+        "the cloud renders to a loss of {loss} at iteration {iteration}, so evolution has nothing to compare with"
+    )]
     NoFitness {
         /// Iteration of the trigger.
         iteration: u32,
@@ -130,12 +136,16 @@ pub enum TrainError {
     #[error("evolution: {0}")]
     Tell(#[from] genesplat_evolve::TellError),
     /// The checkpoint belongs to another kind of run.
-    #[error("the checkpoint was not made by a {wanted} run; resume with the configuration that it was made with")]
+    #[error(
+        "the checkpoint was not made by a {wanted} run; resume with the configuration that it was made with"
+    )]
     OtherMethod {
         /// The configuration's method.
         wanted: MethodName,
     },
     /// The checkpoint has pictures from between other photos.
-    #[error("the checkpoint was made with other photos, or of another size; resume with those that it was made with")]
+    #[error(
+        "the checkpoint was made with other photos, or of another size; resume with those that it was made with"
+    )]
     OtherPhotos,
 }

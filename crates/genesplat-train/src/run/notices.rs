@@ -1,5 +1,5 @@
-//! What a run's owner should know before the first step: settings that are each valid may come to nothing together.
-//! None of it stops a run.
+//! What a run's owner should know before the first step: settings that are each valid may come to nothing
+//! together. None of it stops a run.
 
 use genesplat_core::{BackendError, View};
 
@@ -11,15 +11,16 @@ use crate::scene::surroundings::are_on_white;
 use crate::schedule::Schedule;
 use crate::timeline::{Event, RECOVERY, SCALED_INTERVAL_MIN, VirtualSteps};
 
-/// A reset is late where less than this fraction of the time between two resets is left after it: one in so many.
+/// A reset is late where less than this fraction of the time between two resets is left after it: one in so
+/// many.
 const LATE_RESET_DIVISOR: u64 = 10;
 
-/// Gaussians are pruned for a size that backgrounds need where it is less than this part of their distance. (All round
-/// a scene the published size is a tenth of it, for `fern` a fiftieth.)
+/// Gaussians are pruned for a size that backgrounds need where it is less than this part of their distance.
+/// (All round a scene the published size is a tenth of it, for `fern` a fiftieth.)
 const SMALL_PART_OF_DEPTH: f64 = 0.03;
 
-/// All that there is to say of a run; `depth`, how far away most of what its cameras see is, and `extent` in world
-/// units.
+/// All that there is to say of a run; `depth`, how far away most of what its cameras see is, and `extent` in
+/// world units.
 pub(crate) fn at_start(schedule: &Schedule, cap: Cap, extent: f64, depth: Option<f64>) -> Vec<String> {
     let notices = [
         cap.notice_of_lower_cap(),
@@ -42,7 +43,10 @@ pub(crate) fn of_virtual_views(steps: VirtualSteps, photos: usize) -> String {
 }
 
 /// Photos of a subject on white, before another colour.
-pub(crate) fn of_white_surroundings(background: Background, views: &[View]) -> Result<Option<String>, BackendError> {
+pub(crate) fn of_white_surroundings(
+    background: Background,
+    views: &[View],
+) -> Result<Option<String>, BackendError> {
     let is_missed = background != Background::White && are_on_white(&views.iter().collect::<Vec<_>>())?;
     let sentence = "the photos show their subject on white: --background white leaves that to the background, so that no \
                     Gaussians have to stand for it";
@@ -57,8 +61,11 @@ fn notice_of_kept_intervals(schedule: &Schedule) -> Option<String> {
     let intervals = [
         Some(("method.densify_every", config.method.densify_every, timeline.densify.every))
             .filter(|_| has("densify_every")),
-        Some(("method.reset_every", config.method.reset_every, timeline.reset_every)).filter(|_| has("reset_every")),
-        recovery.map(|recovery| ("what Improved-GS gives opacities to recover from a reset", RECOVERY, recovery.after)),
+        Some(("method.reset_every", config.method.reset_every, timeline.reset_every))
+            .filter(|_| has("reset_every")),
+        recovery.map(|recovery| {
+            ("what Improved-GS gives opacities to recover from a reset", RECOVERY, recovery.after)
+        }),
     ];
     let shorter = |given: u32| (f64::from(given) * config.steps_scale).round() as u32;
     let kept: Vec<String> = intervals
@@ -113,11 +120,13 @@ fn notice_of_no_search(schedule: &Schedule) -> Option<String> {
     })
 }
 
-/// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors are pruned.
+/// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors
+/// are pruned.
 fn notice_of_lost_background(schedule: &Schedule, extent: f64, depth: f64) -> Option<String> {
     let (method, timeline) = (&schedule.config().method, schedule.timeline());
     let prunes_by_size = schedule.method().own_settings().contains(&"prune_size");
-    let first = timeline.all(Event::Densify).find(|&i| i > timeline.size_prune_after).filter(|_| prunes_by_size)?;
+    let first =
+        timeline.all(Event::Densify).find(|&i| i > timeline.size_prune_after).filter(|_| prunes_by_size)?;
     let largest = method.prune_size * extent;
     (largest < SMALL_PART_OF_DEPTH * depth).then(|| {
         format!(
@@ -157,7 +166,8 @@ mod tests {
 
     #[test]
     fn who_shortens_a_run_hears_which_intervals_stay() {
-        let notice = |method, scale| notice_of_kept_intervals(&schedule(method, |config| config.steps_scale = scale));
+        let notice =
+            |method, scale| notice_of_kept_intervals(&schedule(method, |config| config.steps_scale = scale));
         assert_eq!((notice(MethodName::ThreeDgs, 1.0), notice(MethodName::ThreeDgs, 2.0)), (None, None));
         // Our intervals follow the length of the run.
         for scale in [0.01, 0.1, 1.0, 2.0] {
@@ -174,8 +184,9 @@ mod tests {
 
     #[test]
     fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
-        let notice =
-            |iterations| notice_of_late_reset(&schedule(MethodName::ThreeDgs, |config| config.iterations = iterations));
+        let notice = |iterations| {
+            notice_of_late_reset(&schedule(MethodName::ThreeDgs, |config| config.iterations = iterations))
+        };
         // One that would fall into the last iteration does not happen.
         for iterations in [2000, 3000, 3300, 7000, 30_000] {
             assert_eq!(notice(iterations), None);
@@ -208,9 +219,12 @@ mod tests {
 
     #[test]
     fn a_run_that_is_too_short_to_grow_hears_of_it() {
-        let notice =
-            |method, iterations| notice_of_no_growth(&schedule(method, |config| config.iterations = iterations));
-        assert!(notice(MethodName::Genesplat, 150).is_some_and(|text| text.contains("a run of 150 iterations")));
+        let notice = |method, iterations| {
+            notice_of_no_growth(&schedule(method, |config| config.iterations = iterations))
+        };
+        assert!(
+            notice(MethodName::Genesplat, 150).is_some_and(|text| text.contains("a run of 150 iterations"))
+        );
         assert_eq!(notice(MethodName::Genesplat, 700), None);
         assert_eq!(notice(MethodName::ThreeDgs, 150), None, "cut short as it was asked for");
     }
@@ -222,7 +236,10 @@ mod tests {
         };
         use MethodName::{Genesplat, Mcmc, ThreeDgs};
         let text = notice(10.0, ThreeDgs, |_| {}).expect("a notice");
-        assert!(text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"), "{text}");
+        assert!(
+            text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"),
+            "{text}"
+        );
         assert_eq!(notice(2.0, ThreeDgs, |_| {}), None);
         assert_eq!(notice(10.0, ThreeDgs, |config| config.iterations = 3000), None);
         assert_eq!(notice(10.0, ThreeDgs, |config| config.method.prune_size = 10.0), None);
@@ -234,8 +251,12 @@ mod tests {
         let photo = Photo { width: 2, height: 2, rgb: vec![255; 12] };
         let camera = Camera::at_origin(2, 2, 1.0);
         let view = |photo: Photo| [View { name: String::new(), camera, photo: photo.into(), mask: None }];
-        let advised = |background, view: [View; 1]| of_white_surroundings(background, &view).unwrap().is_some();
-        assert!(advised(Background::Black, view(photo.clone())) && advised(Background::Random, view(photo.clone())));
+        let advised =
+            |background, view: [View; 1]| of_white_surroundings(background, &view).unwrap().is_some();
+        assert!(
+            advised(Background::Black, view(photo.clone()))
+                && advised(Background::Random, view(photo.clone()))
+        );
         assert!(!advised(Background::White, view(photo.clone())));
         assert!(!advised(Background::Black, view(Photo { rgb: vec![80; 12], ..photo })));
     }

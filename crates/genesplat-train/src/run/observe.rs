@@ -1,4 +1,5 @@
-//! How training tells what it does, as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
+//! How training tells what it does, as records that serialise to one line of `log.jsonl` each
+//! ([`LogRecord`]).
 //!
 //! An observer is called between device calls, and training waits until it returns.
 
@@ -204,7 +205,8 @@ pub trait Observer {
     fn on_stage_end(&mut self, _record: &StageRecord) {}
     /// Something that the user should know: one sentence.
     fn notice(&mut self, _text: &str) {}
-    /// A checkpoint that the schedule asked for, or that of a run which ends in an error: out of memory, in a stage, or at a stop.
+    /// A checkpoint that the schedule asked for, or that of a run which ends in an error: out of memory, in a
+    /// stage, or at a stop.
     fn on_checkpoint(&mut self, _checkpoint: Checkpoint) {}
     /// True to look at the cloud after this iteration.
     fn wants_renders(&mut self, _iteration: u32) -> bool {

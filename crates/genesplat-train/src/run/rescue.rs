@@ -1,8 +1,9 @@
 //! What is saved of a run whose device is out of memory.
 //!
-//! Such a device holds what it held before the verb that failed. Queued steps may not be done: always the last ones,
-//! since every other event waits for all steps. So the cursor goes back to the first step that is not done, and a
-//! resumed run does exactly what would have been done. (A device that is lost has taken all with it.)
+//! Such a device holds what it held before the verb that failed. Queued steps may not be done: always the
+//! last ones, since every other event waits for all steps. So the cursor goes back to the first step that is
+//! not done, and a resumed run does exactly what would have been done. (A device that is lost has taken all
+//! with it.)
 
 use super::TrainError;
 use super::checkpoint::{Checkpoint, Cursor};
@@ -10,8 +11,8 @@ use super::trainer::Trainer;
 use crate::timeline::Event;
 
 impl Trainer<'_> {
-    /// Hands over a checkpoint, if the device still holds the work of whole events; returns the error that ends the
-    /// run.
+    /// Hands over a checkpoint, if the device still holds the work of whole events; returns the error that
+    /// ends the run.
     pub(crate) fn rescue(&mut self, error: TrainError) -> TrainError {
         let lives = matches!(&error, TrainError::Backend(error) if error.is_out_of_memory());
         if lives && !self.place.is_mid_change {

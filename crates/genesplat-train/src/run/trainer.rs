@@ -65,7 +65,8 @@ pub(crate) struct Place {
     pub(crate) progress: Progress,
     /// What is done next, or is under way.
     pub(crate) cursor: Cursor,
-    /// The event under way has changed the state, and has more to change: a checkpoint now could not be resumed.
+    /// The event under way has changed the state, and has more to change: a checkpoint now could not be
+    /// resumed.
     pub(crate) is_mid_change: bool,
 }
 
@@ -102,7 +103,8 @@ impl<'a> Trainer<'a> {
         let (count, Run { extent, rng, .. }) = (views.len(), &run);
         let virtual_views = VirtualViews::new(views, schedule.virtual_steps(count), *extent, *rng);
         let visits = Visits { order: ViewOrder::new(*rng, count), virtual_views };
-        let place = Place { progress: Progress::default(), cursor: Cursor::start_of(1), is_mid_change: false };
+        let place =
+            Place { progress: Progress::default(), cursor: Cursor::start_of(1), is_mid_change: false };
         Ok(Self { backend, observer, stop, run, visits, place, told: Told::default() })
     }
 
@@ -219,7 +221,8 @@ impl<'a> Trainer<'a> {
         Ok(checkpoint)
     }
 
-    /// The end of iteration `i`: a checkpoint where one is due, and renders for the observer where it wants some.
+    /// The end of iteration `i`: a checkpoint where one is due, and renders for the observer where it wants
+    /// some.
     pub(crate) fn end_iteration(&mut self, i: u32) -> Result<(), TrainError> {
         let wants_renders = self.observer.wants_renders(i);
         if self.run.schedule.is_checkpoint(i) || wants_renders {
@@ -278,8 +281,8 @@ impl<'a> Trainer<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The genes of all rows, which the rest of the host may trust to be finite. (A rotation or a colour that is not is found
-    /// when a checkpoint is due.)
+    /// The genes of all rows, which the rest of the host may trust to be finite. (A rotation or a colour that
+    /// is not is found when a checkpoint is due.)
     pub(crate) fn finite_genes(&mut self) -> Result<Vec<Genes>, TrainError> {
         let genes = self.backend.genes()?;
         if !genes.as_flattened().iter().all(|gene| gene.is_finite()) {
@@ -295,7 +298,8 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// What Adam is told of a step that is about to be made; its counters stand still for what misses the step.
+    /// What Adam is told of a step that is about to be made; its counters stand still for what misses the
+    /// step.
     fn update(&self, i: u32, step: OptimiserStep) -> Option<Update> {
         if !step.moves() {
             return None;
@@ -310,8 +314,8 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// A step of iteration `i`, which counts once the device has taken it on; `extra` tells those apart that share an
-    /// iteration: 0 is its own.
+    /// A step of iteration `i`, which counts once the device has taken it on; `extra` tells those apart that
+    /// share an iteration: 0 is its own.
     pub(crate) fn train_step(
         &mut self,
         view: usize,
@@ -334,7 +338,8 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// How the cloud is rendered in iteration `i`, by whoever looks at it; a step may have a background of its own.
+    /// How the cloud is rendered in iteration `i`, by whoever looks at it; a step may have a background of
+    /// its own.
     pub(crate) fn settings(&self, i: u32) -> RenderSettings {
         self.run.config().render_settings(self.sh_degree(i))
     }

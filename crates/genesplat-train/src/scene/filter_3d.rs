@@ -1,8 +1,9 @@
-//! Mip-Splatting's 3D smoothing filter: no Gaussian may be finer than the training photos could have sampled it.
+//! Mip-Splatting's 3D smoothing filter: no Gaussian may be finer than the training photos could have sampled
+//! it.
 //!
-//! The filter of a Gaussian is `sqrt(0.2) · z_min / f_max` wide, with `z_min` the smallest depth at which a training
-//! camera sees it, and `f_max` the longest focal length of *all* training cameras, as the authors' code has it (Yu et
-//! al., CVPR 2024).
+//! The filter of a Gaussian is `sqrt(0.2) · z_min / f_max` wide, with `z_min` the smallest depth at which a
+//! training camera sees it, and `f_max` the longest focal length of *all* training cameras, as the authors'
+//! code has it (Yu et al., CVPR 2024).
 
 use genesplat_core::Camera;
 use glam::{DMat3, DVec3};
@@ -14,12 +15,13 @@ const FILTER_VARIANCE: f64 = 0.2;
 /// A Gaussian counts as seen up to this fraction of the image's size beyond each border (Mip-Splatting).
 const BORDER: f64 = 0.15;
 
-/// Standard deviation of each Gaussian's filter in world units, `[N]`, from its position `[N, 3]`. One that no camera
-/// sees gets the widest filter of those that are seen; where none is seen at all, it is zero.
+/// Standard deviation of each Gaussian's filter in world units, `[N]`, from its position `[N, 3]`. One that
+/// no camera sees gets the widest filter of those that are seen; where none is seen at all, it is zero.
 pub fn filter_3d<'a>(positions: &[[f32; 3]], cameras: impl Iterator<Item = &'a Camera> + Clone) -> Vec<f32> {
     let focal_max = cameras.clone().map(|camera| camera.focal_px[0]).fold(0.0, f64::max);
     let cameras: Vec<(&Camera, DMat3)> = cameras.map(|camera| (camera, camera.rotation())).collect();
-    let depth_min: Vec<f64> = positions.par_iter().map(|&position| smallest_depth(&cameras, position)).collect();
+    let depth_min: Vec<f64> =
+        positions.par_iter().map(|&position| smallest_depth(&cameras, position)).collect();
     let farthest = depth_min.iter().copied().filter(|depth| depth.is_finite()).fold(0.0, f64::max);
     let std_by_depth = if focal_max > 0.0 { FILTER_VARIANCE.sqrt() / focal_max } else { 0.0 };
     depth_min
@@ -59,7 +61,10 @@ mod tests {
 
     /// Looks along +z from `(0, 0, z)`.
     fn camera_at(z: f64, focal: f64) -> Camera {
-        Camera { camera_from_world_translation: DVec3::new(0.0, 0.0, -z), ..Camera::at_origin(100, 50, focal) }
+        Camera {
+            camera_from_world_translation: DVec3::new(0.0, 0.0, -z),
+            ..Camera::at_origin(100, 50, focal)
+        }
     }
 
     #[test]

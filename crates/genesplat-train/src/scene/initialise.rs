@@ -1,8 +1,8 @@
 //! The cloud that training starts from, and the size of the scene.
 //!
-//! Every point of the sparse reconstruction becomes one isotropic Gaussian (3DGS, section 5.1 and its code): scale =
-//! root of the mean *squared* distance to the three nearest other points, opacity 0.1, colour in the base coefficient
-//! only.
+//! Every point of the sparse reconstruction becomes one isotropic Gaussian (3DGS, section 5.1 and its code):
+//! scale = root of the mean *squared* distance to the three nearest other points, opacity 0.1, colour in the
+//! base coefficient only.
 
 use std::ops::Range;
 
@@ -17,9 +17,11 @@ use super::nearest::mean_squared_distances;
 /// Opacity of every initial Gaussian (3DGS).
 const INITIAL_OPACITY: f32 = 0.1;
 
-/// Floor of the mean squared distance, world units squared, so that duplicate points get a finite log-scale (3DGS).
+/// Floor of the mean squared distance, world units squared, so that duplicate points get a finite log-scale
+/// (3DGS).
 const SQUARED_DISTANCE_MIN: f32 = 1e-7;
-/// It is that of points whose squared distances have at least this median; where all lie closer, it is as much less.
+/// It is that of points whose squared distances have at least this median; where all lie closer, it is as
+/// much less.
 const USUAL_SQUARED_DISTANCE: f32 = 1e-4;
 
 /// The scene's extent is this many times the radius of the camera centres (3DGS).
@@ -42,7 +44,9 @@ pub enum InitialiseError {
         found: usize,
     },
     /// A coordinate is NaN or infinite.
-    #[error("point {row} of the scene has a coordinate that is not finite; remove it from the reconstruction")]
+    #[error(
+        "point {row} of the scene has a coordinate that is not finite; remove it from the reconstruction"
+    )]
     NonFinite {
         /// Index of the point, in the order given.
         row: usize,
@@ -67,7 +71,8 @@ pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, Initiali
     Ok(Seeds::new(points.to_vec())?.rows(0..points.len()))
 }
 
-/// What the first cloud is made from, a tenth of its size: a rank makes its own rows of the cloud, and no others.
+/// What the first cloud is made from, a tenth of its size: a rank makes its own rows of the cloud, and no
+/// others.
 pub(crate) struct Seeds {
     points: Vec<ColouredPoint>,
     /// Mean squared distance to the nearest others; not below the least that is believed.
@@ -127,14 +132,16 @@ pub(crate) fn check_points(points: &[ColouredPoint]) -> Result<(), InitialiseErr
     }
 }
 
-/// The points along a Morton curve through their bounding box (ties in the order given). Rows of the cloud follow it
-/// from then on, so that Gaussians that share tiles share cache lines, and a crossover exchanges whole regions.
+/// The points along a Morton curve through their bounding box (ties in the order given). Rows of the cloud
+/// follow it from then on, so that Gaussians that share tiles share cache lines, and a crossover exchanges
+/// whole regions.
 pub fn in_spatial_order(points: &[ColouredPoint]) -> Vec<ColouredPoint> {
     let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
     morton_order(&positions).into_iter().map(|index| points[index as usize]).collect()
 }
 
-/// Size of the scene in world units: 1.1 times the largest distance of a training camera from their mean centre.
+/// Size of the scene in world units: 1.1 times the largest distance of a training camera from their mean
+/// centre.
 ///
 /// The position rate and every size threshold of density control are multiples of it.
 pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64, InitialiseError> {
@@ -149,8 +156,8 @@ pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64
     }
 }
 
-/// The length that fixed settings of MCMC are in, world units: 1 where the extent is 1 to 10, as that of published scenes;
-/// else what brings it there.
+/// The length that fixed settings of MCMC are in, world units: 1 where the extent is 1 to 10, as that of
+/// published scenes; else what brings it there.
 pub(crate) fn unit_of(extent: f64) -> f64 {
     extent / extent.clamp(1.0, 10.0)
 }
@@ -159,17 +166,18 @@ pub(crate) fn unit_of(extent: f64) -> f64 {
 const DEPTH_POINTS: usize = 1000;
 const DEPTH_CAMERAS: usize = 100;
 
-/// How far away what the cameras see is: the median camera z of the points in front of them, world units; `None` where
-/// there are none.
+/// How far away what the cameras see is: the median camera z of the points in front of them, world units;
+/// `None` where there are none.
 pub(crate) fn median_depth<'a>(
     cameras: impl ExactSizeIterator<Item = &'a Camera>,
     points: &[ColouredPoint],
 ) -> Option<f64> {
-    let [every_camera, every_point] =
-        [(cameras.len(), DEPTH_CAMERAS), (points.len(), DEPTH_POINTS)].map(|(all, most)| all.div_ceil(most).max(1));
+    let [every_camera, every_point] = [(cameras.len(), DEPTH_CAMERAS), (points.len(), DEPTH_POINTS)]
+        .map(|(all, most)| all.div_ceil(most).max(1));
     let cameras = cameras.step_by(every_camera);
     let depths_from = |camera: &'a Camera| {
-        let positions = points.iter().step_by(every_point).map(|(position, _)| DVec3::from(position.map(f64::from)));
+        let positions =
+            points.iter().step_by(every_point).map(|(position, _)| DVec3::from(position.map(f64::from)));
         positions.map(|position| camera.camera_from_world(position).z)
     };
     median(cameras.flat_map(depths_from).filter(|&depth| depth > 0.0))
@@ -214,8 +222,9 @@ mod tests {
 
     #[test]
     fn the_smallest_size_is_that_of_a_small_scene() {
-        let row =
-            |step: f32| [0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(|x| ([x * step, 0.0, 0.0], [0; 3]));
+        let row = |step: f32| {
+            [0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(|x| ([x * step, 0.0, 0.0], [0; 3]))
+        };
         let size = |step: f32| cloud_from_points(&row(step)).unwrap().log_scales[0][0].exp();
         assert!((size(1.0) - 1e-7f32.sqrt()).abs() < 1e-9);
         assert!((size(1e-4) / size(1e-3) - 0.1).abs() < 1e-3 && size(1e-4) < 1e-4);

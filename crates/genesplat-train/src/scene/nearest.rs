@@ -1,7 +1,7 @@
 //! Exact mean squared distance of every point to its three nearest others, by an R*-tree.
 //!
-//! Sparse reconstructions have far outliers: they stretch the bounding box until a uniform grid holds nearly all points
-//! in one cell. A tree does not care.
+//! Sparse reconstructions have far outliers: they stretch the bounding box until a uniform grid holds nearly
+//! all points in one cell. A tree does not care.
 
 use rayon::prelude::*;
 use rstar::RTree;
@@ -61,7 +61,8 @@ mod tests {
             .collect()
     }
 
-    /// Each point would look at all others, 400 million pairs, if it did not stop at three that are as near as can be.
+    /// Each point would look at all others, 400 million pairs, if it did not stop at three that are as near
+    /// as can be.
     #[test]
     fn points_that_share_a_place_are_found_at_once() {
         let shared = vec![[0.25, -1.0, 3.0]; 20_000];

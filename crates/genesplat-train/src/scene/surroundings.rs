@@ -11,13 +11,14 @@ const WHITE_BORDER: f64 = 0.9;
 /// A pixel is white from this 8-bit value on, in all channels; JPEG leaves no less of it.
 const WHITE: u8 = 250;
 
-/// Whether most photos show their subject on white. Before any other colour Gaussians must stand for that white, and those
-/// that float before the subject cost nothing in the photos that see them before white.
+/// Whether most photos show their subject on white. Before any other colour Gaussians must stand for that
+/// white, and those that float before the subject cost nothing in the photos that see them before white.
 pub fn are_on_white(views: &[&View]) -> Result<bool, PhotoLost> {
     let every = views.len().div_ceil(LOOKED_AT).max(1);
     let looked_at = || views.iter().step_by(every);
-    let of_view =
-        |view: &&View| Ok(white_border(&*view.photo.read()?, view.mask.as_ref().map(|mask| &mask.counts[..])));
+    let of_view = |view: &&View| {
+        Ok(white_border(&*view.photo.read()?, view.mask.as_ref().map(|mask| &mask.counts[..])))
+    };
     let on_white = looked_at().map(of_view).collect::<Result<Vec<_>, PhotoLost>>()?;
     Ok(2 * on_white.into_iter().filter(|&part| part >= WHITE_BORDER).count() > looked_at().count())
 }
@@ -27,8 +28,10 @@ fn white_border(photo: &Photo, counts: Option<&[bool]>) -> f64 {
     let [width, height] = [photo.width, photo.height].map(|side| side as usize);
     // Corners count twice.
     let rows = [0, height - 1].into_iter().flat_map(|row| (0..width).map(move |column| row * width + column));
-    let columns = [0, width - 1].into_iter().flat_map(|column| (0..height).map(move |row| row * width + column));
-    let border: Vec<usize> = rows.chain(columns).filter(|&at| counts.is_none_or(|counts| counts[at])).collect();
+    let columns =
+        [0, width - 1].into_iter().flat_map(|column| (0..height).map(move |row| row * width + column));
+    let border: Vec<usize> =
+        rows.chain(columns).filter(|&at| counts.is_none_or(|counts| counts[at])).collect();
     let is_white = |at: &usize| photo.rgb[3 * at..3 * at + 3].iter().all(|&value| value >= WHITE);
     border.iter().filter(|at| is_white(at)).count() as f64 / border.len().max(1) as f64
 }

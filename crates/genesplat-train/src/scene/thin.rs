@@ -1,4 +1,5 @@
-//! Fewer points to start from, evenly over the scene: one for each cube of a grid that is as fine as the limit allows.
+//! Fewer points to start from, evenly over the scene: one for each cube of a grid that is as fine as the
+//! limit allows.
 
 use std::collections::HashSet;
 
@@ -33,8 +34,9 @@ pub(crate) fn thinned(points: &[ColouredPoint], most: usize) -> Vec<ColouredPoin
     }
     let mut kept: Vec<usize> = first_of_cubes(points, low, coarse.exp()).collect();
     // What lies in few cubes only still starts from enough points.
-    let others =
-        (0..points.len()).filter(|index| !kept.contains(index)).take((NEIGHBOURS + 1).saturating_sub(kept.len()));
+    let others = (0..points.len())
+        .filter(|index| !kept.contains(index))
+        .take((NEIGHBOURS + 1).saturating_sub(kept.len()));
     let others: Vec<usize> = others.collect();
     kept.extend(others);
     kept.sort_unstable();

@@ -2,7 +2,8 @@
 
 use genesplat_core::{Rng, Stream, View};
 
-/// The order in which gradient steps visit the views: every epoch sees each view once, in a random order of its own.
+/// The order in which gradient steps visit the views: every epoch sees each view once, in a random order of
+/// its own.
 pub(crate) struct ViewOrder {
     rng: Rng,
     views: usize,
@@ -28,8 +29,9 @@ impl ViewOrder {
     }
 }
 
-/// `count` views spread evenly over the views in order of name, from a random offset on, in that order; all where there
-/// are no more. Names follow a capture's path, so they cover the scene. The same `stage` gives the same views.
+/// `count` views spread evenly over the views in order of name, from a random offset on, in that order; all
+/// where there are no more. Names follow a capture's path, so they cover the scene. The same `stage` gives
+/// the same views.
 pub fn spread_evenly(views: &[View], count: usize, rng: &Rng, stage: u32) -> Vec<usize> {
     let mut by_name: Vec<usize> = (0..views.len()).collect();
     by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));

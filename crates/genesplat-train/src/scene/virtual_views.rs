@@ -1,9 +1,10 @@
 //! Virtual views: what the cloud itself shows from between the photos.
 //!
-//! Where photos are seen often, steps learn each of them by heart, and what lies between them gets worse. So late steps look in
-//! turn at a photo and at a picture that the cloud has made from halfway between two of them: the running mean of what it
-//! showed there, which holds fast what all photos agreed on. (Means of earlier outputs as a target: Laine and Aila,
-//! "Temporal ensembling for semi-supervised learning", 2017. Views between few photos: RegNeRF, FSGS.)
+//! Where photos are seen often, steps learn each of them by heart, and what lies between them gets worse. So
+//! late steps look in turn at a photo and at a picture that the cloud has made from halfway between two of
+//! them: the running mean of what it showed there, which holds fast what all photos agreed on. (Means of
+//! earlier outputs as a target: Laine and Aila, "Temporal ensembling for semi-supervised learning", 2017.
+//! Views between few photos: RegNeRF, FSGS.)
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -24,8 +25,8 @@ const NEW: f32 = 0.2;
 /// So many are looked at again at a time.
 const REFRESHED: usize = 16;
 
-/// Main memory for what they show, 512 MiB: all neighbours of a hundred photos of two megapixels. Where it is too little, some
-/// of them are left out, evenly.
+/// Main memory for what they show, 512 MiB: all neighbours of a hundred photos of two megapixels. Where it is
+/// too little, some of them are left out, evenly.
 const PICTURES_BYTES: usize = 512 << 20;
 
 /// They are visited in an order of their own.
@@ -50,8 +51,8 @@ struct VirtualView {
 }
 
 impl VirtualViews {
-    /// Halfway between each photo and its nearest neighbours. Near are cameras that stand and look alike: a turn counts as
-    /// much as the way of what is at `extent`, the scene's, in world units.
+    /// Halfway between each photo and its nearest neighbours. Near are cameras that stand and look alike: a
+    /// turn counts as much as the way of what is at `extent`, the scene's, in world units.
     pub(crate) fn new(photos: &[View], steps: Option<VirtualSteps>, extent: f64, rng: Rng) -> Self {
         let photos = if steps.is_some() { photos } else { &[] };
         let near = |a| nearest(photos, a, extent).into_iter().map(move |b| (a.min(b), a.max(b)));
@@ -66,7 +67,8 @@ impl VirtualViews {
         self.steps
     }
 
-    /// What the step of iteration `i` looks at. (A run that was resumed with other settings may have no pictures yet.)
+    /// What the step of iteration `i` looks at. (A run that was resumed with other settings may have no
+    /// pictures yet.)
     pub(crate) fn visit(&self, i: u32) -> Visit {
         let steps = self.steps.filter(|_| self.are_shown());
         steps.map_or(Visit::Photo(i - 1), |steps| steps.visit(i))
@@ -87,20 +89,21 @@ impl VirtualViews {
         &self.pictures
     }
 
-    /// Pictures of a run with the same photos, which one without virtual views has no use for; false where they are of other
-    /// photos.
+    /// Pictures of a run with the same photos, which one without virtual views has no use for; false where
+    /// they are of other photos.
     pub(crate) fn restore(&mut self, pictures: Vec<Arc<Photo>>) -> bool {
         if self.steps.is_none() {
             return true;
         }
         let size = |view: &VirtualView| [view.camera.width, view.camera.height];
-        let fits = pictures.iter().map(|picture| [picture.width, picture.height]).eq(self.views.iter().map(size));
+        let fits =
+            pictures.iter().map(|picture| [picture.width, picture.height]).eq(self.views.iter().map(size));
         self.pictures = pictures;
         fits || self.pictures.is_empty()
     }
 
-    /// Looks at the cloud in iteration `i`, the first time from everywhere, and gives the device the photos and, after them,
-    /// what it has shown. Does nothing in a run without virtual views.
+    /// Looks at the cloud in iteration `i`, the first time from everywhere, and gives the device the photos
+    /// and, after them, what it has shown. Does nothing in a run without virtual views.
     pub(crate) fn refresh(
         &mut self,
         backend: &mut dyn Device,
@@ -133,7 +136,9 @@ impl VirtualViews {
             return (0..self.views.len()).map(|index| look(backend, index)).collect();
         }
         let mut pictures = self.pictures.clone();
-        for index in self.rng.permutation(Stream::VirtualTurn, i, self.views.len()).into_iter().take(REFRESHED) {
+        for index in
+            self.rng.permutation(Stream::VirtualTurn, i, self.views.len()).into_iter().take(REFRESHED)
+        {
             pictures[index as usize] = look(backend, index as usize)?;
         }
         Ok(pictures)
@@ -211,8 +216,8 @@ fn distance(a: &Camera, b: &Camera, extent: f64) -> f64 {
     from.distance(to) + target(a).distance(target(b))
 }
 
-/// The running mean after one more picture. It is kept as photos are: rounded up or down by chance, so that small changes
-/// add up; `address` is that of the chance.
+/// The running mean after one more picture. It is kept as photos are: rounded up or down by chance, so that
+/// small changes add up; `address` is that of the chance.
 fn blended(old: Option<&Photo>, new: &Image, rng: &Rng, address: [u32; 2]) -> Photo {
     let pixels = new.width as usize * new.height as usize;
     let mut rgb = vec![0; 3 * pixels];
@@ -245,13 +250,19 @@ mod tests {
             camera_from_world_translation: DVec3::new(0.0, 0.0, 4.0),
             ..Camera::at_origin(2, 1, 2.0)
         };
-        View { name: name.into(), camera, photo: Photo { width: 2, height: 1, rgb: vec![0; 6] }.into(), mask: None }
+        View {
+            name: name.into(),
+            camera,
+            photo: Photo { width: 2, height: 1, rgb: vec![0; 6] }.into(),
+            mask: None,
+        }
     }
 
     #[test]
     fn pictures_stay_within_their_memory() {
         // Six bytes each.
-        let views = || (0..10).map(|i| VirtualView::halfway(&view(&i.to_string(), 0.0), &view("", 9.0))).collect();
+        let views =
+            || (0..10).map(|i| VirtualView::halfway(&view(&i.to_string(), 0.0), &view("", 9.0))).collect();
         let names = |bytes| within(views(), bytes).into_iter().map(|view| view.name).collect::<Vec<_>>();
         assert_eq!(names(60).len(), 10);
         assert_eq!(names(29), ["between 2 and ", "between 4 and ", "between 7 and ", "between 9 and "]);
@@ -289,7 +300,10 @@ mod tests {
             VirtualViews::new(&photos, Some(VirtualSteps { from: 1, every: 2 }), 4.0, Rng::new(0));
         let names: Vec<_> = views.iter().map(|view| view.name.as_str()).collect();
         let wanted = ["0 and 5", "0 and 11", "5 and 11", "5 and 90", "11 and 90"];
-        assert!(names.iter().zip(wanted).all(|(name, wanted)| *name == format!("between {wanted}")), "{names:?}");
+        assert!(
+            names.iter().zip(wanted).all(|(name, wanted)| *name == format!("between {wanted}")),
+            "{names:?}"
+        );
         assert_eq!(names.len(), wanted.len());
     }
 
@@ -300,7 +314,11 @@ mod tests {
             let rotation = DQuat::from_rotation_y(degrees.to_radians());
             // At the same place.
             let translation = -(rotation * ahead.centre_in_world());
-            Camera { camera_from_world_rotation: rotation, camera_from_world_translation: translation, ..ahead }
+            Camera {
+                camera_from_world_rotation: rotation,
+                camera_from_world_translation: translation,
+                ..ahead
+            }
         };
         assert!((distance(&ahead, &turned(180.0), 4.0) - 8.0).abs() < 1e-9);
         assert!(distance(&ahead, &turned(20.0), 4.0) < distance(&ahead, &turned(30.0), 4.0));

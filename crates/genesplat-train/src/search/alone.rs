@@ -13,10 +13,11 @@ use crate::run::{Outcome, Start, TrainError};
 use crate::schedule::Schedule;
 use crate::timeline::Event;
 
-/// One genetic search on a finished cloud from any trainer, without gradient steps; `schedule` has its settings.
+/// One genetic search on a finished cloud from any trainer, without gradient steps; `schedule` has its
+/// settings.
 ///
-/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped
-/// returns the best it has; there is nothing to resume.
+/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was
+/// stopped returns the best it has; there is nothing to resume.
 pub fn search(
     backend: &mut dyn Device,
     views: &[View],

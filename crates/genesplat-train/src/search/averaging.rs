@@ -1,9 +1,9 @@
 //! Weight averaging: the mean of the last states replaces the last one.
 //!
-//! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is free of that
-//! noise. It may fit the training photos less than the last state does, and is better on others, so guards only refuse a
-//! mean that lags behind by more than [`LAG_DB`]. (Izmailov et al., "Averaging weights leads to wider optima and better
-//! generalization", 2018.)
+//! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is
+//! free of that noise. It may fit the training photos less than the last state does, and is better on others,
+//! so guards only refuse a mean that lags behind by more than [`LAG_DB`]. (Izmailov et al., "Averaging
+//! weights leads to wider optima and better generalization", 2018.)
 
 use std::time::Instant;
 
@@ -14,8 +14,8 @@ use crate::run::TrainError;
 use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
 
-/// Guard PSNR that a mean may cost, dB. It costs more where a short or small run still learns fast, and there its last state is better
-/// on test photos, too (docs/evolution.md).
+/// Guard PSNR that a mean may cost, dB. It costs more where a short or small run still learns fast, and there
+/// its last state is better on test photos, too (docs/evolution.md).
 const LAG_DB: f64 = 0.6;
 
 impl Trainer<'_> {

@@ -1,5 +1,5 @@
-//! The equal-time control of an experiment: gradient steps where evolution would be, for as many seconds, or a fixed
-//! number of them.
+//! The equal-time control of an experiment: gradient steps where evolution would be, for as many seconds, or
+//! a fixed number of them.
 
 use std::time::Instant;
 
@@ -49,7 +49,8 @@ impl Stage for ExtraGradientSteps {
         }
     }
 
-    /// One step. Waits for the device as often as training does: one that is waited for after every step makes fewer.
+    /// One step. Waits for the device as often as training does: one that is waited for after every step
+    /// makes fewer.
     fn next(&mut self, trainer: &mut Trainer, _: &mut StageRecord) -> Result<(), TrainError> {
         self.clock.get_or_insert_with(Instant::now);
         let view = self.order.view(self.steps);

@@ -9,8 +9,8 @@ use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::scene::views::spread_evenly;
 
-/// Individuals are handed to the backend until they take this many bytes: a generation of the paper's, up to some
-/// 350,000 Gaussians.
+/// Individuals are handed to the backend until they take this many bytes: a generation of the paper's, up to
+/// some 350,000 Gaussians.
 const BATCH_BYTES: usize = 256 << 20;
 
 /// What fitness is measured on; the same for all individuals of all generations of a stage.
@@ -22,9 +22,14 @@ pub(crate) struct Fitness {
 
 impl Fitness {
     /// Mean of Eq. 5 over the views, for each individual.
-    fn losses(&self, backend: &mut dyn Device, individuals: &[SparseDelta]) -> Result<Vec<f64>, BackendError> {
+    fn losses(
+        &self,
+        backend: &mut dyn Device,
+        individuals: &[SparseDelta],
+    ) -> Result<Vec<f64>, BackendError> {
         let losses = backend.score(individuals, &self.views, &self.settings)?;
-        let mean = |views: &[f32]| views.iter().map(|&loss| f64::from(loss)).sum::<f64>() / views.len() as f64;
+        let mean =
+            |views: &[f32]| views.iter().map(|&loss| f64::from(loss)).sum::<f64>() / views.len() as f64;
         Ok(losses.chunks_exact(self.views.len()).map(mean).collect())
     }
 }
@@ -32,8 +37,12 @@ impl Fitness {
 impl Trainer<'_> {
     /// What the stage of iteration `i` is measured on: the same views in all stages of a run.
     pub(crate) fn fitness(&self, i: u32) -> Fitness {
-        let views =
-            self.run.config().genetic.as_ref().map_or_else(|| GeneticConfig::default().views, |genetic| genetic.views);
+        let views = self
+            .run
+            .config()
+            .genetic
+            .as_ref()
+            .map_or_else(|| GeneticConfig::default().views, |genetic| genetic.views);
         let views = spread_evenly(self.run.views, views, &self.run.rng, 0);
         Fitness { views, settings: self.settings(i) }
     }

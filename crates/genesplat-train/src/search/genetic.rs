@@ -1,8 +1,8 @@
 //! The paper's evolution stage: Algorithm 1 on the cloud, after an opacity reset.
 //!
-//! Meanwhile the backend's cloud is what most parents of the generation have in common, since individuals differ from
-//! that in fewer rows. At the end the base comes back, and is replaced by the best individual, if that is strictly
-//! better.
+//! Meanwhile the backend's cloud is what most parents of the generation have in common, since individuals
+//! differ from that in fewer rows. At the end the base comes back, and is replaced by the best individual, if
+//! that is strictly better.
 
 use std::time::Instant;
 
@@ -29,7 +29,8 @@ impl Stage for GeneticSearch {
         let of_base = trainer.fitness_of_base(&fitness, i)?;
         let base = trainer.backend.genes()?;
         let config = trainer.run.config().genetic.clone().unwrap_or_default();
-        let gradients = if config.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
+        let gradients =
+            if config.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
         let algorithm = GeneticAlgorithm::new(config, base, gradients, of_base, trainer.run.rng.fork(i))?;
         let renders = fitness.views.len() as u64;
         let record = StageRecord { renders, ..StageRecord::begun(StageKind::Genetic, i, of_base, None) };
@@ -81,8 +82,8 @@ impl Stage for GeneticSearch {
     }
 }
 
-/// Changes what individuals are differences from. An empty change is not passed on: what scoring has prepared would be
-/// lost.
+/// Changes what individuals are differences from. An empty change is not passed on: what scoring has prepared
+/// would be lost.
 fn move_cloud(trainer: &mut Trainer, shift: &SparseDelta) -> Result<(), BackendError> {
     if shift.is_empty() { Ok(()) } else { trainer.backend.edit(Edit::Genes(shift)) }
 }

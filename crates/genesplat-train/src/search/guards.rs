@@ -1,7 +1,7 @@
 //! Guards: training views that decide whether the mean of the last states is kept.
 //!
-//! Gradient steps train on them as on all others, so a guard says that training got no worse, and nothing about photos
-//! that training never saw. Test photos take no part in anything.
+//! Gradient steps train on them as on all others, so a guard says that training got no worse, and nothing
+//! about photos that training never saw. Test photos take no part in anything.
 
 use genesplat_core::{Held, Rng, View, ViewLoss};
 
@@ -42,9 +42,18 @@ impl GuardScore {
 
 impl Trainer<'_> {
     /// The cloud of iteration `i`, or the mean, on the guards; an error where it cannot be rendered.
-    pub(crate) fn guard_score(&mut self, held: Held, guards: &[usize], i: u32) -> Result<GuardScore, TrainError> {
+    pub(crate) fn guard_score(
+        &mut self,
+        held: Held,
+        guards: &[usize],
+        i: u32,
+    ) -> Result<GuardScore, TrainError> {
         let settings = self.settings(i);
         let score = GuardScore::of(&self.backend.measure(held, guards, &settings)?);
-        if score.loss.is_finite() { Ok(score) } else { Err(TrainError::NoFitness { iteration: i, loss: score.loss }) }
+        if score.loss.is_finite() {
+            Ok(score)
+        } else {
+            Err(TrainError::NoFitness { iteration: i, loss: score.loss })
+        }
     }
 }

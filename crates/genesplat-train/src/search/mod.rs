@@ -1,7 +1,7 @@
 //! What runs beside gradient steps: the paper's search, weight averaging, the equal-time control.
 //!
-//! The search and its control are [`Stage`]s; [`Trainer::run_stage`] does what they have in common: the clock, the records,
-//! a stop within, and what is saved where the device fails.
+//! The search and its control are [`Stage`]s; [`Trainer::run_stage`] does what they have in common: the
+//! clock, the records, a stop within, and what is saved where the device fails.
 
 use std::time::Instant;
 
@@ -29,8 +29,8 @@ pub(crate) trait Stage: Sized {
     /// Measures the cloud and prepares; changes nothing.
     fn begin(trainer: &mut Trainer, iteration: u32) -> Result<(Self, StageRecord), TrainError>;
 
-    /// Training views that fitness is measured on, and the pieces that follow the first, for who listens; `None` to say
-    /// nothing.
+    /// Training views that fitness is measured on, and the pieces that follow the first, for who listens;
+    /// `None` to say nothing.
     fn announcement(&self) -> Option<(&[usize], u32)>;
 
     /// Nothing is left to do.
@@ -49,8 +49,8 @@ pub(crate) trait Stage: Sized {
 }
 
 impl Trainer<'_> {
-    /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run repeats the
-    /// stage in full.
+    /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run
+    /// repeats the stage in full.
     pub(crate) fn run_stage<S: Stage>(&mut self) -> Result<Option<Box<Checkpoint>>, TrainError> {
         let (clock, cursor) = (Instant::now(), self.place.cursor);
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_finite(cursor)?) } else { None };

@@ -19,9 +19,14 @@ fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
 
 fn iterations_with(schedule: &Schedule, event: Event) -> Vec<u32> {
     let timeline = schedule.timeline();
-    let all: Vec<u32> = (1..=schedule.iterations).filter(|&i| timeline.at(i).any(|due| due == event)).collect();
+    let all: Vec<u32> =
+        (1..=schedule.iterations).filter(|&i| timeline.at(i).any(|due| due == event)).collect();
     assert!(all.iter().copied().eq((1..=schedule.iterations).filter(|&i| timeline.is(event, i))));
-    assert_eq!((timeline.first(event), timeline.last(event)), (all.first().copied(), all.last().copied()), "{event:?}");
+    assert_eq!(
+        (timeline.first(event), timeline.last(event)),
+        (all.first().copied(), all.last().copied()),
+        "{event:?}"
+    );
     all
 }
 
@@ -85,8 +90,9 @@ fn a_step_of_four_views_is_twice_as_long() {
     assert!(made.eq((4..30_000).step_by(4)));
     assert_eq!((step(&four, 601), step(&four, 30_000)), (OptimiserStep::Later, OptimiserStep::Lost));
     let [one, four] = [one.rates(2.0, 500), four.rates(2.0, 500)];
-    let all =
-        |rates: LearningRates| [rates.position, rates.sh_dc, rates.sh_rest, rates.opacity, rates.scale, rates.rotation];
+    let all = |rates: LearningRates| {
+        [rates.position, rates.sh_dc, rates.sh_rest, rates.opacity, rates.scale, rates.rotation]
+    };
     assert!(all(one).into_iter().zip(all(four)).all(|(one, four)| (four / one - 2.0).abs() < 1e-6));
 }
 
@@ -97,7 +103,11 @@ fn a_reset_cuts_a_step_of_several_views_short() {
     let cut = [OptimiserStep::Later, OptimiserStep::AllButOpacity, OptimiserStep::Later];
     let sixteen = schedule(|config| config.views_per_step = 16);
     assert_eq!([3000, 6000, 9000].map(|reset| around(&sixteen, reset)), [cut; 3]);
-    assert_eq!([2992, 3008].map(|i| step(&sixteen, i)), [OptimiserStep::All; 2], "others stay where they were");
+    assert_eq!(
+        [2992, 3008].map(|i| step(&sixteen, i)),
+        [OptimiserStep::All; 2],
+        "others stay where they were"
+    );
     let late = schedule_of(MethodName::ImprovedGs, |config| config.method.densify_until = 20_000);
     assert_eq!(around(&late, 18_000), cut);
 }
@@ -141,14 +151,16 @@ fn a_white_background_resets_once_more_and_costs_opacity_one_step() {
 /// Where it falls on another one.
 #[test]
 fn two_resets_of_an_iteration_are_one() {
-    let schedule = schedule(|config| (config.background, config.method.reset_every) = (Background::White, 500));
+    let schedule =
+        schedule(|config| (config.background, config.method.reset_every) = (Background::White, 500));
     assert_eq!(events(&schedule, 500), [Event::Step, Event::ResetOpacity]);
     assert!(iterations_with(&schedule, Event::ResetOpacity).into_iter().eq((500..15_000).step_by(500)));
 }
 
 #[test]
 fn without_density_control_not_even_white_resets() {
-    let schedule = schedule(|config| (config.background, config.method.densify_until) = (Background::White, 0));
+    let schedule =
+        schedule(|config| (config.background, config.method.densify_until) = (Background::White, 0));
     assert_eq!(iterations_with(&schedule, Event::ResetOpacity), [] as [u32; 0]);
     assert_eq!(iterations_with(&schedule, Event::Densify), [] as [u32; 0]);
 }
@@ -175,7 +187,9 @@ fn extra_steps_come_where_the_search_would() {
 
 #[test]
 fn events_have_their_order() {
-    use Event::{AddToMean, Densify, RefreshFilter, RefreshVirtualViews, ResetOpacity, Search, Step, TakeMean};
+    use Event::{
+        AddToMean, Densify, RefreshFilter, RefreshVirtualViews, ResetOpacity, Search, Step, TakeMean,
+    };
     let searching = |method| schedule_of(method, |config| config.genetic = Some(GeneticConfig::default()));
     let mip = searching(MethodName::MipSplatting);
     assert_eq!(events(&mip, 3000), [Step, Densify, RefreshFilter, ResetOpacity, Search]);
@@ -193,7 +207,8 @@ fn events_have_their_order() {
 #[test]
 fn the_last_two_fifths_are_averaged() {
     use MethodName::{Genesplat, ImprovedGs, Mcmc, MipSplatting, ThreeDgs};
-    // Where density control ends early, too, when rows stay what they are for longer, and MCMC's lasts into them.
+    // Where density control ends early, too, when rows stay what they are for longer, and MCMC's lasts into
+    // them.
     for (method, until) in [
         (Genesplat, 15_000),
         (ThreeDgs, 15_000),
@@ -224,7 +239,8 @@ fn runs_of_any_length_average_what_comes_after_three_fifths() {
         let part = |fraction: f64| (f64::from(iterations) * fraction).round() as u32;
         let (window, every) = (part(0.4), (part(0.05).max(1) / 10).max(1));
         let is_state = |i: &u32| iterations - i < window && (iterations - i).is_multiple_of(every);
-        let wanted: Vec<u32> = if window > 1 { (1..iterations).filter(is_state).collect() } else { Vec::new() };
+        let wanted: Vec<u32> =
+            if window > 1 { (1..iterations).filter(is_state).collect() } else { Vec::new() };
         assert_eq!(iterations_with(&schedule, Event::AddToMean), wanted);
         let taken = iterations_with(&schedule, Event::TakeMean);
         assert_eq!(taken, if window > 1 { vec![iterations] } else { Vec::new() });
@@ -242,14 +258,21 @@ fn ours_fits_its_schedule_into_the_run() {
         assert_eq!(schedule.timeline().densify, densify);
         assert_eq!(iterations_with(schedule, Event::ResetOpacity), [600, 1200, 1800, 2400]);
         assert_eq!(schedule.rates(2.0, 6000).position, 4e-6, "the last rate");
-        assert!((1..=6000).all(|i| step(schedule, i) != OptimiserStep::Later), "averages stand for large steps");
+        assert!(
+            (1..=6000).all(|i| step(schedule, i) != OptimiserStep::Later),
+            "averages stand for large steps"
+        );
         assert_eq!((schedule.sh_degree(199), schedule.sh_degree(200)), (0, 1));
     }
     let plain = schedule(|config| config.iterations = 6000);
     assert_eq!((plain.timeline().densify.from, plain.sh_degree(999)), (500, 0), "cut short");
-    let improved = |averaging| schedule_of(MethodName::ImprovedGs, |config| config.method.averaging = averaging);
+    let improved =
+        |averaging| schedule_of(MethodName::ImprovedGs, |config| config.method.averaging = averaging);
     assert_eq!(step(&improved(false), 15_001), OptimiserStep::Later, "as published");
-    assert!((1..=30_000).all(|i| step(&improved(true), i) != OptimiserStep::Later), "averages stand for them, too");
+    assert!(
+        (1..=30_000).all(|i| step(&improved(true), i) != OptimiserStep::Later),
+        "averages stand for them, too"
+    );
 }
 
 #[test]
@@ -275,7 +298,8 @@ fn improved_gs_prunes_after_resets_and_steps_less_often_later() {
 fn improved_gs_scales_its_windows() {
     let tenth = schedule_of(MethodName::ImprovedGs, |config| config.steps_scale = 0.1);
     let timeline = tenth.timeline();
-    // Resets at 300, 600, ...; opacities have a hundred iterations, and only the first nine hundred prune what is slow.
+    // Resets at 300, 600, ...; opacities have a hundred iterations, and only the first nine hundred prune
+    // what is slow.
     let all = |due: &dyn Fn(u32) -> bool| (1..=3000).filter(|&i| due(i)).collect::<Vec<_>>();
     assert_eq!(all(&|i| timeline.has_recovered(i)), [400, 700, 1000, 1300]);
     assert_eq!(all(&|i| timeline.prunes_slow(i)), [400, 700]);
@@ -415,7 +439,8 @@ fn pictures_are_made_before_resets_and_later_as_often_as_density_control_works()
 
 #[test]
 fn pictures_of_runs_of_any_length_are_made_where_they_are_due() {
-    for (iterations, background) in (10..=700).flat_map(|i| [(i, Background::Black), (i, Background::White)]) {
+    for (iterations, background) in (10..=700).flat_map(|i| [(i, Background::Black), (i, Background::White)])
+    {
         let schedule = schedule_of(MethodName::Genesplat, |config| {
             (config.iterations, config.background) = (iterations, background);
         });
@@ -426,7 +451,11 @@ fn pictures_of_runs_of_any_length_are_made_where_they_are_due() {
         };
         let from = (f64::from(iterations) * 0.3).round() as u32;
         let wanted: Vec<u32> = (from.max(1)..iterations).filter(|&i| is_ripe(i)).collect();
-        assert_eq!(iterations_with(&schedule, Event::RefreshVirtualViews), wanted, "{iterations}, {background:?}");
+        assert_eq!(
+            iterations_with(&schedule, Event::RefreshVirtualViews),
+            wanted,
+            "{iterations}, {background:?}"
+        );
     }
 }
 
@@ -440,7 +469,8 @@ fn the_more_photos_the_fewer_looks() {
 
 #[test]
 fn runs_that_learn_photos_by_heart_look_between_them() {
-    let has = |iterations, photos| looking(|config| config.iterations = iterations).virtual_steps(photos).is_some();
+    let has =
+        |iterations, photos| looking(|config| config.iterations = iterations).virtual_steps(photos).is_some();
     assert!(has(7000, 2) && has(7000, 28) && !has(7000, 29), "250 looks at each");
     assert!(has(30_000, 120) && !has(30_000, 121));
 }

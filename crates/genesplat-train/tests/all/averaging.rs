@@ -1,9 +1,12 @@
-//! Weight averaging: the mean of the last states replaces the last one unless it lags behind, and survives a stop.
+//! Weight averaging: the mean of the last states replaces the last one unless it lags behind, and survives a
+//! stop.
 
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Device, Held};
-use genesplat_train::{MethodName, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
+use genesplat_train::{
+    MethodName, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train,
+};
 
 use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, resumed, timeless, views};
 
@@ -72,7 +75,11 @@ fn guards_refuse_a_mean_that_lags_behind_and_no_other() {
         let [before, after] = stage.guard_psnr.unwrap();
         assert!((before - after - loss_db).abs() < 0.01, "{stage:?}");
         assert_eq!(backend.state().unwrap().mean.states(), 0, "it is no longer needed");
-        assert_eq!(stage.fitness_after == stage.fitness_before, stage.changed == 0, "a refused mean changes nothing");
+        assert_eq!(
+            stage.fitness_after == stage.fitness_before,
+            stage.changed == 0,
+            "a refused mean changes nothing"
+        );
         (outcome.cloud, stage.changed)
     };
     assert_eq!(by(0.55), (agreeing.cloud, 20), "worse on photos that it has seen, as means are");
@@ -166,7 +173,8 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
         train(&mut failing, &views(12), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
         let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
         let go_on = AtomicBool::new(false);
-        let outcome = train(&mut device(), &views(12), resumed(checkpoint), &config, &mut Silent, &go_on).unwrap();
+        let outcome =
+            train(&mut device(), &views(12), resumed(checkpoint), &config, &mut Silent, &go_on).unwrap();
         assert_eq!(outcome.cloud, whole.cloud, "call {call}");
         assert_eq!(timeless(&outcome), timeless(&whole), "call {call}");
     }

@@ -68,7 +68,10 @@ fn values_out_of_range_get_a_sentence() {
         (|c| c.max_gaussians = Some(3), "max_gaussians"),
         (|c| (c.iterations, c.views_per_step) = (9, 9), "views_per_step"),
         (|c| c.max_gaussians = Some(usize::MAX), "max_gaussians"),
-        (|c| c.method.position_rate_start = 0.0, "method.position_rate_start is 0, but must be a number above 0"),
+        (
+            |c| c.method.position_rate_start = 0.0,
+            "method.position_rate_start is 0, but must be a number above 0",
+        ),
         (|c| c.method.position_rate_end = f64::INFINITY, "method.position_rate_end is inf"),
         (|c| c.method.feature_rate = f64::NAN, "method.feature_rate is NaN"),
         (|c| c.method.scale_rate = -1.0, "method.scale_rate is -1"),
@@ -84,8 +87,14 @@ fn values_out_of_range_get_a_sentence() {
             |c| (c.method, c.antialiasing) = (MethodConfig::of(MethodName::MipSplatting), true),
             "antialiasing is true, but must be false with mip-splatting",
         ),
-        (|c| c.genetic = Some(GeneticConfig { views: 0, ..GeneticConfig::default() }), "in genetic: views is 0"),
-        (|c| c.genetic = Some(GeneticConfig { population: 0, ..GeneticConfig::default() }), "in genetic: population"),
+        (
+            |c| c.genetic = Some(GeneticConfig { views: 0, ..GeneticConfig::default() }),
+            "in genetic: views is 0",
+        ),
+        (
+            |c| c.genetic = Some(GeneticConfig { population: 0, ..GeneticConfig::default() }),
+            "in genetic: population",
+        ),
     ];
     for (change, expected) in cases {
         let mut config = TrainConfig::default();
@@ -183,7 +192,8 @@ fn defaults_are_those_of_the_method() {
         assert_eq!(all(method), ([1.6e-4, 1.6e-6], 0.05, 2e-4), "{method}");
     }
     for method in MethodName::ALL {
-        let MethodConfig { capacity, gradual_growth, averaging, virtual_views, .. } = MethodConfig::of(method);
+        let MethodConfig { capacity, gradual_growth, averaging, virtual_views, .. } =
+            MethodConfig::of(method);
         let published = (0.0, false, false, 0);
         let expected = if method == Genesplat { (1.0, true, true, 250) } else { published };
         assert_eq!((capacity, gradual_growth, averaging, virtual_views), expected, "{method}");

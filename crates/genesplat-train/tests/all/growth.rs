@@ -1,4 +1,5 @@
-//! How far a cloud grows: to what was asked for, or to what the photos can determine; and what users hear of it.
+//! How far a cloud grows: to what was asked for, or to what the photos can determine; and what users hear of
+//! it.
 
 use std::sync::atomic::AtomicBool;
 
@@ -32,8 +33,8 @@ fn grow(method: MethodName, capacity: f64, limit: Option<usize>) -> Told {
     told
 }
 
-/// The factor at which the photos determine fifty Gaussians, and a bit: their pixels over 2 · √6 are 19.6, those of one
-/// over 0.3 are 53.3.
+/// The factor at which the photos determine fifty Gaussians, and a bit: their pixels over 2 · √6 are 19.6,
+/// those of one over 0.3 are 53.3.
 fn capacity_of_fifty() -> f64 {
     let photo = &views(1)[0].photo;
     let pixels = VIEWS as f64 * f64::from(photo.width()) * f64::from(photo.height());
@@ -76,7 +77,10 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_determine_fewer() {
     let fifty = capacity_of_fifty();
     for (method, limit) in [(ThreeDgs, Some(60)), (ImprovedGs, Some(60)), (ImprovedGs, None)] {
         let [notice] = &told(method, fifty, limit)[..] else { panic!("one notice of {method}, {limit:?}") };
-        assert!(notice.contains("no further than 50 Gaussians") && notice.contains("method.capacity"), "{notice}");
+        assert!(
+            notice.contains("no further than 50 Gaussians") && notice.contains("method.capacity"),
+            "{notice}"
+        );
         assert_eq!(notice.contains("limit of 60"), limit.is_some(), "{notice}");
     }
     assert!(told(ImprovedGs, 0.0, Some(60)).is_empty());

@@ -1,5 +1,5 @@
-//! Improved-GS, and what ours has of it: its scores, its phases, its steps of several views, and a run that is stopped among
-//! them.
+//! Improved-GS, and what ours has of it: its scores, its phases, its steps of several views, and a run that
+//! is stopped among them.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -11,7 +11,8 @@ use genesplat_train::{MethodName, Outcome, Silent, Start, TrainConfig, edge_scor
 
 use crate::support::{Call, FakeBackend, Told, points, resumed, views};
 
-/// A hundredth of the published schedule, its intervals included, but for the time that opacities have to recover.
+/// A hundredth of the published schedule, its intervals included, but for the time that opacities have to
+/// recover.
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::of(MethodName::ImprovedGs) };
     (config.method.densify_every, config.method.reset_every) = (1, 30);
@@ -41,12 +42,14 @@ fn scores_are_multiples_of_the_mean_of_what_is_seen() {
     backend.upload(genesplat_core::Gaussians::zeros(4).into()).unwrap();
     // Means of the positive ones: 2 in the first view, 5 in the third; the second shows nothing.
     backend.weight = Some(|view, row| [[1.0, 0.0, 3.0, 2.0], [0.0; 4], [0.0, 5.0, 0.0, 0.0]][view][row]);
-    let mut scores = |shown: &[usize]| edge_scores(&mut backend, &views(3), shown, &RenderSettings::default()).unwrap();
+    let mut scores =
+        |shown: &[usize]| edge_scores(&mut backend, &views(3), shown, &RenderSettings::default()).unwrap();
     assert_eq!(scores(&[0]), [0.5, 0.0, 1.5, 1.0]);
     assert_eq!(scores(&[0, 2]), [0.25, 0.5, 0.75, 0.5]);
     assert_eq!(scores(&[0, 1, 2, 2]), [0.125, 0.5, 0.375, 0.25]);
     assert_eq!(scores(&[1]), [0.0; 4]);
-    let weighed = |call: &Call| matches!(call, Call::BlendingWeights { views, pixels: 64 } if *views == [0, 1, 2, 2]);
+    let weighed =
+        |call: &Call| matches!(call, Call::BlendingWeights { views, pixels: 64 } if *views == [0, 1, 2, 2]);
     assert_eq!(backend.calls.iter().filter(|call| weighed(call)).count(), 1, "all views are weighed at once");
 }
 
@@ -57,7 +60,9 @@ fn the_cloud_grows_along_the_budget_by_splits_alone() {
     let edits: Vec<&RowEdit> = backend.edits().collect();
     assert_eq!(edits.len(), 144);
     for edit in &edits {
-        assert!(edit.origins.iter().all(|origin| matches!(origin, Origin::Kept | Origin::LongAxisChild { .. })));
+        assert!(
+            edit.origins.iter().all(|origin| matches!(origin, Origin::Kept | Origin::LongAxisChild { .. }))
+        );
     }
     // Iteration 6 + k; the budget passes the twenty points at 0.2² · 140 = 5.6 iterations after the fifth.
     let budget = |k: usize| ((((k + 1) as f64 / 140.0).sqrt().min(1.0) * 100.0) as usize).max(20);
@@ -97,7 +102,8 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
     (config.method.densify_every, config.method.reset_every) = (100, 3000);
     (config.max_gaussians, config.method.opacity_rate) = (Some(20), 0.0);
     run(&mut backend, config);
-    let resets: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::OpacityCeiling(_))).collect();
+    let resets: Vec<&Call> =
+        backend.calls.iter().filter(|call| matches!(call, Call::OpacityCeiling(_))).collect();
     assert_eq!(resets, [&Call::OpacityCeiling(0.05); 2]);
     let sizes: Vec<(u32, usize)> = backend.edits().map(|edit| (edit.iteration, edit.sources.len())).collect();
     let size = |i| sizes.iter().find(|(iteration, _)| *iteration == i).unwrap().1;
@@ -108,7 +114,8 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
 
 /// Views that had a say in the densification of iteration `i`; there is one in every hundredth.
 fn weighed(backend: &FakeBackend, i: u32) -> usize {
-    let at = |i| backend.calls.iter().position(|call| matches!(call, Call::Edit(edit) if edit.iteration == i));
+    let at =
+        |i| backend.calls.iter().position(|call| matches!(call, Call::Edit(edit) if edit.iteration == i));
     let calls = backend.calls[at(i - 100).unwrap_or(0)..at(i).unwrap()].iter();
     calls.map(|call| if let Call::BlendingWeights { views, .. } = call { views.len() } else { 0 }).sum()
 }
@@ -138,7 +145,8 @@ fn all_that_is_faint_after_a_reset_is_pruned() {
     assert_eq!(sizes[sizes.len() - 2..], [20, 10], "at 3200 and 3300");
 }
 
-/// A fifth is pruned at 6300, when the budget is at nine tenths: rows before and after it are more than the limit together.
+/// A fifth is pruned at 6300, when the budget is at nine tenths: rows before and after it are more than the
+/// limit together.
 #[test]
 fn the_limit_is_reached_when_the_budget_is_full_and_not_before() {
     let mut config = TrainConfig { steps_scale: 1.0, iterations: 8500, ..config() };

@@ -1,5 +1,5 @@
-//! The order of events, call by call, on a schedule ten times shorter than the published one, intervals included:
-//! densification after 50,
+//! The order of events, call by call, on a schedule ten times shorter than the published one, intervals
+//! included: densification after 50,
 //! every 10, until 1500; resets every 300; size pruning after 300; 3000 iterations.
 
 use std::sync::atomic::AtomicBool;
@@ -10,7 +10,9 @@ use genesplat_evolve::GeneticConfig;
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::filter_3d::filter_3d;
 use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
-use genesplat_train::{Background, MethodName, Observer, Outcome, Silent, Start, TrainConfig, TrainError, train};
+use genesplat_train::{
+    Background, MethodName, Observer, Outcome, Silent, Start, TrainConfig, TrainError, train,
+};
 
 use crate::support::{Call, FakeBackend, added, points, views};
 
@@ -181,7 +183,8 @@ fn small_rows_are_cloned_and_large_ones_split() {
     let mut cloud = cloud_from_points(&points(4)).unwrap();
     cloud.log_scales = [0.015f32, 0.03, 0.021, 0.023].map(|longest| [longest.ln(), -9.0, -9.0]).to_vec();
     let config = short(|config| config.iterations = 700).resolve().unwrap();
-    train(&mut backend, &views(7), Start::Cloud(cloud), &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+    train(&mut backend, &views(7), Start::Cloud(cloud), &config, &mut Silent, &AtomicBool::new(false))
+        .unwrap();
     let edit = backend.edits().next().unwrap();
     let children = [0, 1].map(|child| Origin::SplitChild { child });
     assert_eq!(edit.sources, [0, 0, 1, 1, 2, 2, 3, 3]);
@@ -205,7 +208,8 @@ fn every_random_draw_of_the_device_comes_from_the_seed() {
     let y = |positions: &[[f32; 3]]| positions.iter().map(|position| position[1]).collect::<Vec<_>>();
     // Nothing but the offset of split children moves the fake's y.
     assert!(y(&first).iter().any(|&y| y != 0.0) && y(&first) != y(&other), "children are drawn anew");
-    let all_have = |device: &FakeBackend, rng| device.edits().count() > 0 && device.edits().all(|edit| edit.rng == rng);
+    let all_have =
+        |device: &FakeBackend, rng| device.edits().count() > 0 && device.edits().all(|edit| edit.rng == rng);
     assert!(all_have(&device, Rng::new(1)));
     let (_, device) = trained(2, MethodName::Mcmc);
     assert!(all_have(&device, Rng::new(2)));
@@ -233,7 +237,8 @@ fn pixel_gs_asks_for_another_signal_and_nothing_else() {
     let (mut plain, mut pixel) = (FakeBackend::new(), FakeBackend::new());
     run(&mut plain, short(|_| {})).unwrap();
     run(&mut pixel, short_of(MethodName::PixelGs, |_| {})).unwrap();
-    let Some(DensitySignal::PixelWeighted { depth_threshold }) = pixel.steps().next().unwrap().statistics.density
+    let Some(DensitySignal::PixelWeighted { depth_threshold }) =
+        pixel.steps().next().unwrap().statistics.density
     else {
         panic!("pixel-gs does not weight by pixels")
     };
@@ -257,7 +262,10 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
     run(&mut backend, short_of(MethodName::MipSplatting, |_| {})).unwrap();
     assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: true });
     let at_300 = iteration(&backend, 300);
-    assert!(matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::OpacityCeiling(_)]), "{at_300:?}");
+    assert!(
+        matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::OpacityCeiling(_)]),
+        "{at_300:?}"
+    );
     assert!(matches!(iteration(&backend, 1500), [Call::Step(_)]), "not at the end of densification");
     assert!(matches!(iteration(&backend, 2980), [Call::Step(_), Call::Filter(20)]));
     assert!(matches!(iteration(&backend, 2990), [Call::Step(_)]), "frozen at the end");
@@ -269,7 +277,8 @@ fn every_row_of_mip_splatting_begins_with_its_own_filter() {
     let points: Vec<_> = (0..20).map(|row| ([0.0, 0.01 * row as f32, 1.0 + row as f32], [128; 3])).collect();
     let config = short_of(MethodName::MipSplatting, |config| config.iterations = 10).resolve().unwrap();
     let stop = AtomicBool::new(false);
-    let cloud = train(&mut backend, &views(7), Start::Points(points), &config, &mut Silent, &stop).unwrap().cloud;
+    let cloud =
+        train(&mut backend, &views(7), Start::Points(points), &config, &mut Silent, &stop).unwrap().cloud;
     let views = views(7);
     assert_eq!(cloud.filter_3d, Some(filter_3d(&cloud.positions, views.iter().map(|view| &view.camera))));
     assert!(cloud.filter_3d.unwrap().windows(2).any(|pair| pair[0] != pair[1]));
@@ -301,11 +310,14 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
 #[test]
 fn mcmc_regularises_once_for_each_photo_of_a_step() {
     let mut backend = FakeBackend::new();
-    let config = short_of(MethodName::Mcmc, |config| (config.views_per_step, config.max_gaussians) = (4, Some(27)));
+    let config =
+        short_of(MethodName::Mcmc, |config| (config.views_per_step, config.max_gaussians) = (4, Some(27)));
     run(&mut backend, config).unwrap();
     let updates = backend.steps().filter_map(|step| step.update);
     assert!(
-        updates.map(|update| update.mcmc.unwrap()).all(|mcmc| (mcmc.opacity_weight, mcmc.scale_weight) == (0.04, 0.04))
+        updates
+            .map(|update| update.mcmc.unwrap())
+            .all(|mcmc| (mcmc.opacity_weight, mcmc.scale_weight) == (0.04, 0.04))
     );
 }
 

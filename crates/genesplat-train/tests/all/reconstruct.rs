@@ -1,4 +1,5 @@
-//! The algorithm with a real renderer: a small scene is rendered, forgotten, and reconstructed from its pictures.
+//! The algorithm with a real renderer: a small scene is rendered, forgotten, and reconstructed from its
+//! pictures.
 
 use std::f64::consts::TAU;
 use std::sync::atomic::AtomicBool;
@@ -121,8 +122,8 @@ fn every_method_reconstructs_unseen_views() {
     }
 }
 
-/// Between two refreshes Mip-Splatting's 3D filter belongs to the row, for mutations as for gradient steps: what a stage
-/// has scored is what it leaves behind, and what is written.
+/// Between two refreshes Mip-Splatting's 3D filter belongs to the row, for mutations as for gradient steps:
+/// what a stage has scored is what it leaves behind, and what is written.
 #[test]
 fn a_stage_leaves_what_it_scored_in_mip_splatting_too() {
     let (views, _, points) = scene();

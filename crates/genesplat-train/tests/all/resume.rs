@@ -7,8 +7,8 @@ use std::sync::atomic::AtomicBool;
 use genesplat_core::BackendError;
 use genesplat_evolve::GeneticConfig;
 use genesplat_train::{
-    Background, Checkpoint, MethodConfig, MethodName, Observer, Outcome, Silent, Start, StepBudget, TrainConfig,
-    TrainError, train,
+    Background, Checkpoint, MethodConfig, MethodName, Observer, Outcome, Silent, Start, StepBudget,
+    TrainConfig, TrainError, train,
 };
 
 use crate::support::{Call, Failure, FakeBackend, Keep, points, resumed, timeless, views};
@@ -42,7 +42,10 @@ fn go(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop
 
 fn uninterrupted() -> Outcome {
     let outcome = go(&mut backend(), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false));
-    assert!(outcome.summary.stages.iter().any(|stage| stage.changed > 0), "a search that finds nothing tests nothing");
+    assert!(
+        outcome.summary.stages.iter().any(|stage| stage.changed > 0),
+        "a search that finds nothing tests nothing"
+    );
     outcome
 }
 
@@ -134,7 +137,8 @@ fn a_scheduled_checkpoint_is_as_good() {
     config.checkpoint_every = 70;
     let stop = AtomicBool::new(false);
     let start = Start::Points(points(20));
-    let whole = train(&mut backend(), &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap();
+    let whole =
+        train(&mut backend(), &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap();
     let next: Vec<u32> = keep.0.iter().map(|checkpoint| checkpoint.cursor.iteration).collect();
     assert_eq!(next, [71, 141, 211, 281]);
     keep.0.iter().for_each(|checkpoint| assert_same(&resume(checkpoint), &whole, "scheduled"));
@@ -180,7 +184,8 @@ fn extra_steps_whose_device_fails_leave_their_beginning() {
     }
 }
 
-/// A run with a checkpoint in iteration 140 whose device fails in a call; steps are queued, unless `queues` is false.
+/// A run with a checkpoint in iteration 140 whose device fails in a call; steps are queued, unless `queues`
+/// is false.
 fn failed(call: usize, failure: Failure, queues: bool) -> (TrainError, Keep, FakeBackend) {
     let mut backend = backend();
     (backend.failure, backend.queues) = (Some((call, failure)), queues);

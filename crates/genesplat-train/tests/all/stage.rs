@@ -1,4 +1,5 @@
-//! The paper's search: it never makes things worse, and stops when told; and its control, which costs what it says.
+//! The paper's search: it never makes things worse, and stops when told; and its control, which costs what it
+//! says.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -9,8 +10,8 @@ use genesplat_evolve::{Crossover, GeneticConfig, Magnitude};
 use genesplat_train::observe::{GenerationLog, StageLog};
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{
-    Background, MethodName, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget, TrainConfig,
-    TrainError, search, train,
+    Background, MethodName, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget,
+    TrainConfig, TrainError, search, train,
 };
 
 use crate::support::{Call, FakeBackend, points, views};
@@ -135,7 +136,10 @@ fn stopping_within_a_stage_keeps_the_best_so_far() {
     let expected = Call::Genes { rows: stage.changed };
     assert_eq!(applied(&backend).last(), Some(&&expected));
     let squares: f64 = outcome.cloud.positions.iter().map(|p| f64::from(p[0] - 3.0).powi(2)).sum();
-    assert!((squares / 30.0 - stage.fitness_after).abs() < 1e-6, "the base came back before the best was applied");
+    assert!(
+        (squares / 30.0 - stage.fitness_after).abs() < 1e-6,
+        "the base came back before the best was applied"
+    );
 }
 
 #[test]
@@ -194,7 +198,8 @@ fn each_stage_draws_its_own_founders() {
     let genetic = Some(GeneticConfig { generations: 0, ..genetic() });
     let config = TrainConfig { steps_scale: 0.1, genetic, ..TrainConfig::of(MethodName::ThreeDgs) };
     let mut backend = FakeBackend::new();
-    let (start, config, stop) = (Start::Points(points(30)), config.resolve().unwrap(), AtomicBool::new(false));
+    let (start, config, stop) =
+        (Start::Points(points(30)), config.resolve().unwrap(), AtomicBool::new(false));
     let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
     // The base, and founders.
     let populations = backend.scored_rows.chunks_exact(1 + POPULATION as usize);
@@ -269,7 +274,10 @@ fn extra_steps_are_made_at_rates_that_stand_still() {
     assert!(!updates.is_empty());
     assert!(updates.iter().all(|update| update.rates == updates[0].rates));
     assert!(updates.iter().zip(STEPS as u32..).all(|(update, step)| update.step == step));
-    assert!(extra(&backend).iter().all(|step| step.statistics == Default::default()), "density control sees nothing");
+    assert!(
+        extra(&backend).iter().all(|step| step.statistics == Default::default()),
+        "density control sees nothing"
+    );
     let stage = outcome.summary.stages[0];
     assert_eq!((stage.renders, stage.generations), (updates.len() as u64, 0));
     assert!(stage.seconds >= 0.01 && applied(&backend).is_empty());
@@ -286,9 +294,15 @@ fn so_many_extra_steps_do_not_look_at_the_clock() {
 #[test]
 fn every_extra_step_has_a_random_background_of_its_own() {
     let (backend, _) = extra_steps(StepBudget::Seconds(0.01), Background::Random);
-    let colours: Vec<[u32; 3]> = backend.steps().map(|step| step.settings.background.map(f32::to_bits)).collect();
+    let colours: Vec<[u32; 3]> =
+        backend.steps().map(|step| step.settings.background.map(f32::to_bits)).collect();
     let distinct: HashSet<&[u32; 3]> = colours.iter().collect();
-    assert!(colours.len() > STEPS + 1 && distinct.len() == colours.len(), "{} of {}", distinct.len(), colours.len());
+    assert!(
+        colours.len() > STEPS + 1 && distinct.len() == colours.len(),
+        "{} of {}",
+        distinct.len(),
+        colours.len()
+    );
 }
 
 #[test]

@@ -1,10 +1,11 @@
-//! Pixel-GS's statistics and Mip-Splatting's filters of three splats, computed by hand, in the reference and on the CPU.
+//! Pixel-GS's statistics and Mip-Splatting's filters of three splats, computed by hand, in the reference and
+//! on the CPU.
 
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::dc_from_rgb;
 use genesplat_core::{
-    Camera, DensitySignal, Device, Edit, Gaussians, Photo, RenderSettings, Renderer, ScreenFilter, StatisticsRequest,
-    TrainStep, View,
+    Camera, DensitySignal, Device, Edit, Gaussians, Photo, RenderSettings, Renderer, ScreenFilter,
+    StatisticsRequest, TrainStep, View,
 };
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_kernels::reference::{self, Cloud64, Cutoff, Statistics64};
@@ -57,13 +58,17 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
     [(exact.gradient_sum, exact.weight_sum), (widen(found.gradient_sum), widen(found.weight_sum))]
 }
 
-/// A picture of 24 x 20 pixels at focal length 20: the first two splats are 1 px wide (20 · 0.1 / 2 = 20 · 0.2 / 4),
-/// 1.3 px² with the screen filter, and touch the pixels within r² = 2 · 1.3 · ln(0.9 · 255) = 14.14, of which there are 45;
-/// the first covers the second almost, but not quite. The third is off the screen.
+/// A picture of 24 x 20 pixels at focal length 20: the first two splats are 1 px wide (20 · 0.1 / 2 = 20 ·
+/// 0.2 / 4),
+/// 1.3 px² with the screen filter, and touch the pixels within r² = 2 · 1.3 · ln(0.9 · 255) = 14.14, of which
+/// there are 45; the first covers the second almost, but not quite. The third is off the screen.
 #[test]
 fn pixel_gs_counts_pixels() {
-    let splats =
-        [([0.0, 0.0, 2.0], 0.1, 0.9, 0.9), ([0.0, 0.0, 4.0], 0.2, 0.9, 0.5), ([50.0, 0.0, 2.0], 0.1, 0.9, 0.1)];
+    let splats = [
+        ([0.0, 0.0, 2.0], 0.1, 0.9, 0.9),
+        ([0.0, 0.0, 4.0], 0.2, 0.9, 0.5),
+        ([50.0, 0.0, 2.0], 0.1, 0.9, 0.1),
+    ];
     for (gradients, weights) in pixel_gs(&cloud(splats), camera([24, 20], [10, 8], 20.0, 0.0), 4.0) {
         assert_eq!(weights, [45.0, 45.0, 0.0]);
         assert_eq!(gradients[2], 0.0);
@@ -72,8 +77,9 @@ fn pixel_gs_counts_pixels() {
 
 /// One white pixel, three grey splats half a pixel off its centre, one behind the other; focal length 20.
 ///
-/// Each is 1 px wide where it is off-centre (20 · 0.1 / 2 and so on): variance 1 + 0.025² + 0.3 = 1.300625 px² along its
-/// offset (the slope 0.5/20 = 0.025 tilts the Jacobian). So alpha = 0.5 · exp(−0.5 · 0.25 / 1.300625) = 0.4541831, and
+/// Each is 1 px wide where it is off-centre (20 · 0.1 / 2 and so on): variance 1 + 0.025² + 0.3 = 1.300625
+/// px² along its offset (the slope 0.5/20 = 0.025 tilts the Jacobian). So alpha = 0.5 · exp(−0.5 · 0.25 /
+/// 1.300625) = 0.4541831, and
 ///
 /// | splat | transmittance T | grey c | behind it b | T (c − b) |
 /// |---|---|---|---|---|
@@ -81,18 +87,23 @@ fn pixel_gs_counts_pixels() {
 /// | 2 | 0.5458169 | 0.4 | 0.4541831 · 0.2 = 0.0908366 | 0.1687467 |
 /// | 3 | 0.2979161 | 0.2 | 0 | 0.0595832 |
 ///
-/// The pixel is C = 0.8 · 0.4541831 + 0.4 · 0.2478973 + 0.2 · 0.1353085 = 0.4895685 of 1. The loss falls by 0.8 as C rises
-/// by 1 (L1), and by 0.2 · 1.5441563 for SSIM, whose window keeps only its centre tap, w = 0.2660117² = 0.0707622: with
-/// s = w − w², SSIM(C) = (2 w² C + 1e-4)(2 s C + 9e-4) / ((w² (C² + 1) + 1e-4)(s (C² + 1) + 9e-4)) = 0.6282870, of slope
+/// The pixel is C = 0.8 · 0.4541831 + 0.4 · 0.2478973 + 0.2 · 0.1353085 = 0.4895685 of 1. The loss falls by
+/// 0.8 as C rises by 1 (L1), and by 0.2 · 1.5441563 for SSIM, whose window keeps only its centre tap, w =
+/// 0.2660117² = 0.0707622: with s = w − w², SSIM(C) = (2 w² C + 1e-4)(2 s C + 9e-4) / ((w² (C² + 1) + 1e-4)(s
+/// (C² + 1) + 9e-4)) = 0.6282870, of slope
 /// 1.5441563. Together dL/dC = −1.1088313.
 ///
-/// Alpha changes by alpha · 0.5 / 1.300625 = 0.1746005 a pixel of movement, and half the image's width is 0.5:
+/// Alpha changes by alpha · 0.5 / 1.300625 = 0.1746005 a pixel of movement, and half the image's width is
+/// 0.5:
 /// |g| = 0.5 · 1.1088313 · 0.1746005 · T (c − b) = 0.0968011 · T (c − b) = 0.0550558, 0.0163350, 0.0057678.
 /// One pixel each; at depth 2, half the threshold of 4, a quarter counts; at 4 and 8 all of it.
 #[test]
 fn pixel_gs_weights_by_hand() {
-    let splats =
-        [([0.05, 0.0, 2.0], 0.1, 0.5, 0.8), ([0.0, -0.1, 4.0], 0.2, 0.5, 0.4), ([-0.2, 0.0, 8.0], 0.4, 0.5, 0.2)];
+    let splats = [
+        ([0.05, 0.0, 2.0], 0.1, 0.5, 0.8),
+        ([0.0, -0.1, 4.0], 0.2, 0.5, 0.4),
+        ([-0.2, 0.0, 8.0], 0.4, 0.5, 0.2),
+    ];
     for (gradients, weights) in pixel_gs(&cloud(splats), camera([1, 1], [0, 0], 20.0, 0.0), 4.0) {
         assert_eq!(weights, [1.0; 3]);
         for (found, expected) in gradients.iter().zip([0.013_763_95, 0.016_335_01, 0.005_767_775]) {
@@ -101,9 +112,9 @@ fn pixel_gs_weights_by_hand() {
     }
 }
 
-/// Two cameras see the first two splats: one at the origin of focal length 20, one 2 units behind it of 40. So depths are
-/// those of the first, 2 and 4, the focal length that of the second, and the filters' variances 0.2 · (z / 40)² = 0.0005
-/// and 0.002. Nobody sees the third, behind both, which gets the wider of these.
+/// Two cameras see the first two splats: one at the origin of focal length 20, one 2 units behind it of 40.
+/// So depths are those of the first, 2 and 4, the focal length that of the second, and the filters' variances
+/// 0.2 · (z / 40)² = 0.0005 and 0.002. Nobody sees the third, behind both, which gets the wider of these.
 ///
 /// | | splat 1 | splat 2 |
 /// |---|---|---|
@@ -145,7 +156,8 @@ fn mip_filters_by_hand() {
         assert!((by_fused / alpha - 1.0).abs() < 1e-5, "filter baked in: {by_fused} at {x}");
     }
 
-    // A reset limits the filtered opacity: 0.8 · 8/27 = 0.237 falls to 0.01, the raw one to 0.01 · 27/8 = 0.03375.
+    // A reset limits the filtered opacity: 0.8 · 8/27 = 0.237 falls to 0.01, the raw one to 0.01 · 27/8 =
+    // 0.03375.
     backend.edit(Edit::OpacityCeiling(0.01)).unwrap();
     let raw = sigmoid(backend.download().unwrap().opacity_logits[0]);
     assert!((raw / 0.033_75 - 1.0).abs() < 1e-5, "{raw}");

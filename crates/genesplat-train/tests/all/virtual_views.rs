@@ -12,12 +12,18 @@ const PHOTOS: usize = 8;
 
 fn config() -> TrainConfig {
     let usual = TrainConfig::default();
-    let mut config = TrainConfig { iterations: 1000, checkpoint_every: 990, max_gaussians: Some(60), ..usual };
+    let mut config =
+        TrainConfig { iterations: 1000, checkpoint_every: 990, max_gaussians: Some(60), ..usual };
     config.method.virtual_views = 1;
     config
 }
 
-fn run(backend: &mut FakeBackend, config: TrainConfig, views: &[View], start: Start) -> Result<Outcome, TrainError> {
+fn run(
+    backend: &mut FakeBackend,
+    config: TrainConfig,
+    views: &[View],
+    start: Start,
+) -> Result<Outcome, TrainError> {
     train(backend, views, start, &config.resolve().unwrap(), &mut Silent, &AtomicBool::new(false))
 }
 
@@ -36,7 +42,10 @@ fn every_second_late_step_looks_between_the_photos() {
     let mut seen = [0; 2 * PHOTOS];
     for step in backend.steps() {
         seen[step.view] += 1;
-        assert!(step.view < PHOTOS || step.statistics.density.is_none(), "photos alone say where the cloud grows");
+        assert!(
+            step.view < PHOTOS || step.statistics.density.is_none(),
+            "photos alone say where the cloud grows"
+        );
     }
     // Cameras on a circle have two neighbours each.
     assert!(seen[..PHOTOS].iter().all(|&visits| (81..=82).contains(&visits)), "{seen:?}");
@@ -82,7 +91,8 @@ fn a_checkpoint_goes_on_with_photos_of_its_size_alone() {
     let mut keep = Keep::default();
     let resolved = config().resolve().unwrap();
     let start = Start::Points(points(20));
-    train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut keep, &AtomicBool::new(false)).unwrap();
+    train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut keep, &AtomicBool::new(false))
+        .unwrap();
     let checkpoint = keep.0.pop().unwrap();
     assert_eq!(checkpoint.virtual_pictures.len(), PHOTOS);
     let resume_as = |config: TrainConfig, views: &[View]| {
@@ -112,6 +122,13 @@ fn the_user_is_told() {
         told.notices.into_iter().find(|text| text.contains("method.virtual_views"))
     };
     let said = told(config()).unwrap();
-    assert!(said.starts_with("from iteration 300 on one step in 2") && said.contains("the 8 photos"), "{said}");
-    assert_eq!(told(TrainConfig { iterations: 1000, ..TrainConfig::default() }), None, "not with 125 looks at each");
+    assert!(
+        said.starts_with("from iteration 300 on one step in 2") && said.contains("the 8 photos"),
+        "{said}"
+    );
+    assert_eq!(
+        told(TrainConfig { iterations: 1000, ..TrainConfig::default() }),
+        None,
+        "not with 125 looks at each"
+    );
 }

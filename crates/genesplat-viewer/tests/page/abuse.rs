@@ -193,7 +193,8 @@ fn strangers_are_refused() {
     );
     // The counterpart: with our own origin, the socket opens.
     let mut stream = show.connect();
-    write!(stream, "GET {socket} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n{upgrade}\r\n").unwrap();
+    write!(stream, "GET {socket} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n{upgrade}\r\n")
+        .unwrap();
     let mut start = [0; 12];
     stream.read_exact(&mut start).unwrap();
     assert_eq!(&start, b"HTTP/1.1 101");

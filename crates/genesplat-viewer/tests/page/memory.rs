@@ -23,9 +23,11 @@ fn limit_memory(bytes: &str) {
 fn a_lens_keeps_no_memory_and_one_that_gets_none_is_a_notice() {
     if std::env::var_os(ALONE).is_none() {
         let name = "memory::a_lens_keeps_no_memory_and_one_that_gets_none_is_a_notice";
-        let test = Command::new(std::env::current_exe().unwrap()).args(["--exact", name]).env(ALONE, "1").output();
+        let test =
+            Command::new(std::env::current_exe().unwrap()).args(["--exact", name]).env(ALONE, "1").output();
         let test = test.unwrap();
-        let said = [test.stdout, test.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+        let said =
+            [test.stdout, test.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
         assert!(test.status.success() && said.contains("1 passed"), "{:?}: {said}", test.status);
         return;
     }

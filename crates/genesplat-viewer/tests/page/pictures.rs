@@ -13,7 +13,8 @@ fn a_page_gets_its_parts_and_the_pictures_it_asks_for() {
     let show = Show::open(500);
     let path = show.url.split_once(show.host()).unwrap().1;
     for part in ["", "main.js", "style.css"] {
-        let (line, answer) = show.answer(&format!("GET {path}{part} HTTP/1.1\r\nHost: {}\r\n\r\n", show.host()));
+        let (line, answer) =
+            show.answer(&format!("GET {path}{part} HTTP/1.1\r\nHost: {}\r\n\r\n", show.host()));
         assert_eq!(line, "HTTP/1.1 200 OK", "{part}");
         assert!(answer.contains("default-src 'none'") && answer.contains("no-referrer"), "{answer}");
     }

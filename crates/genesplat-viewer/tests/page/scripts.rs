@@ -10,12 +10,15 @@ use std::sync::LazyLock;
 
 /// A folder for each page, with its modules under the names that they import each other by.
 static PAGES: LazyLock<PathBuf> = LazyLock::new(|| {
-    let (here, there) = (Path::new(env!("CARGO_MANIFEST_DIR")), Path::new(env!("CARGO_TARGET_TMPDIR")).join("scripts"));
+    let (here, there) =
+        (Path::new(env!("CARGO_MANIFEST_DIR")), Path::new(env!("CARGO_TARGET_TMPDIR")).join("scripts"));
     for (page, sources) in [("live", &["page"][..]), ("sent", &["page", "standalone"])] {
         let folder = there.join(page);
         fs::create_dir_all(&folder).unwrap();
         fs::write(folder.join("package.json"), r#"{"type":"module"}"#).unwrap();
-        for source in sources.iter().flat_map(|source| fs::read_dir(here.join(source)).unwrap()).map(Result::unwrap) {
+        for source in
+            sources.iter().flat_map(|source| fs::read_dir(here.join(source)).unwrap()).map(Result::unwrap)
+        {
             fs::copy(source.path(), folder.join(source.file_name())).unwrap();
         }
     }
@@ -30,7 +33,8 @@ fn run(name: &str) {
         let _ = writeln!(std::io::stderr(), "skipped: there is no Node to run the pages' scripts");
         return;
     }
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/page/scripts").join(name).with_extension("mjs");
+    let script =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/page/scripts").join(name).with_extension("mjs");
     let output = Command::new("node").arg(script).arg(&*PAGES).output().unwrap();
     assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
 }

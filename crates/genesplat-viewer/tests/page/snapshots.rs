@@ -94,12 +94,18 @@ fn a_page_that_asks_for_a_snapshot_after_each_step_is_told_to_wait() {
         for _ in 0..50 {
             ask(page);
             let said = hear(page, "notice")["text"].as_str().unwrap().to_owned();
-            assert!(said.starts_with("saved number") || said.contains("one is saved in 10 seconds"), "{said}");
+            assert!(
+                said.starts_with("saved number") || said.contains("one is saved in 10 seconds"),
+                "{said}"
+            );
             refused += usize::from(said.starts_with("no snapshot yet"));
         }
     });
     let most = 1 + began.elapsed().as_secs() as usize / 10;
-    assert!((1..=most).contains(&saved) && refused + saved == 50, "{saved} were saved, and {refused} were not");
+    assert!(
+        (1..=most).contains(&saved) && refused + saved == 50,
+        "{saved} were saved, and {refused} were not"
+    );
 }
 
 /// The page's button says when it may be pressed again.

@@ -47,7 +47,8 @@ impl Show {
             let cloud = cloud(gaussians);
             let exhibition = Exhibition::new("test", &[], &[], Some(&cloud));
             let mode_device = Box::new(CpuBackend::new());
-            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, mode_device).unwrap();
+            let mut live =
+                LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, mode_device).unwrap();
             let mut backend = CpuBackend::new();
             backend.upload(cloud.into()).unwrap();
             sender.send(live.url()).unwrap();

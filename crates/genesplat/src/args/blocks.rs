@@ -14,7 +14,8 @@ pub(crate) struct SplitArgs {
     /// Blocks along the longer and along the shorter side of the ground
     #[arg(long, value_name = "AxB", value_parser = blocks)]
     pub(crate) blocks: Blocks,
-    /// What stands so near to a block counts as its own when its photos are chosen: a fraction of the block's sides
+    /// What stands so near to a block counts as its own when its photos are chosen: a fraction of the block's
+    /// sides
     #[arg(long, value_name = "FRACTION", value_parser = fraction::<f64>, default_value = "0.1")]
     pub(crate) margin: f64,
     /// Folder for the blocks, which must not be there yet or be empty
@@ -29,7 +30,8 @@ pub(crate) struct MergeArgs {
     /// Folder of the blocks, all of them trained
     #[arg(value_name = "BLOCKS")]
     pub(crate) blocks: PathBuf,
-    /// The splat to write, in the format that its name ends in (.ply, .compressed.ply, .splat, .spz, .sog or .glb)
+    /// The splat to write, in the format that its name ends in (.ply, .compressed.ply, .splat, .spz, .sog or
+    /// .glb)
     #[arg(long, value_name = "OUT.ply")]
     pub(crate) out: PathBuf,
 }

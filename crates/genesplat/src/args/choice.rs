@@ -14,7 +14,11 @@ pub(crate) const METHODS: &[Choice<MethodName>] = &[
         "Ours: as many Gaussians as the photos can determine, which split where photos have edges; the mean of the last states",
     ),
     (MethodName::ThreeDgs, &["3dgs"], "3D Gaussian Splatting (Kerbl et al. 2023)"),
-    (MethodName::PixelGs, &["pixel-gs"], "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them"),
+    (
+        MethodName::PixelGs,
+        &["pixel-gs"],
+        "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them",
+    ),
     (
         MethodName::MipSplatting,
         &["mip-splatting"],
@@ -79,8 +83,10 @@ pub(crate) const MASKS: &[Choice<MaskUse>] = &[
 ];
 
 /// `--split` of `evaluate`.
-pub(crate) const SPLITS: &[Choice<Split>] =
-    &[(Split::Test, &["test"], "Photos that training never saw"), (Split::Train, &["train"], "Photos that it saw")];
+pub(crate) const SPLITS: &[Choice<Split>] = &[
+    (Split::Test, &["test"], "Photos that training never saw"),
+    (Split::Train, &["train"], "Photos that it saw"),
+];
 
 /// `--spz-version`.
 pub(crate) const SPZ_VERSIONS: &[Choice<SpzVersion>] = &[

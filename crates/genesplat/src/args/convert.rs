@@ -16,11 +16,13 @@ const OF_PHOTOS: [&str; 8] =
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("of photos").args(OF_PHOTOS).multiple(true).requires("data")))]
 pub(crate) struct ConvertArgs {
-    /// The splat to read (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded
-    /// as it was trained on them unless a flag says otherwise; --downscale divides the size that they had there
+    /// The splat to read (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose
+    /// photos are loaded as it was trained on them unless a flag says otherwise; --downscale divides the size
+    /// that they had there
     #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
-    /// The splat to write, in the format that its name ends in: .ply, .compressed.ply, .splat, .spz, .sog or .glb
+    /// The splat to write, in the format that its name ends in: .ply, .compressed.ply, .splat, .spz, .sog or
+    /// .glb
     #[arg(value_name = "OUT")]
     pub(crate) out: PathBuf,
     /// Keep only Gaussians whose centres are in this box, in the units and axes of the splat [default: all]
@@ -29,14 +31,15 @@ pub(crate) struct ConvertArgs {
     /// Drop Gaussians whose opacity, 0 to 1, is lower than this [default: none]
     #[arg(long, value_name = "OPACITY", value_parser = fraction::<f32>)]
     pub(crate) prune: Option<f32>,
-    /// Highest degree of the spherical harmonics to write, 0 to 3: a lower one loses highlights [default: all there is]
+    /// Highest degree of the spherical harmonics to write, 0 to 3: a lower one loses highlights [default: all
+    /// there is]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
     pub(crate) sh_degree: Option<u8>,
     /// Version of .spz to write [default: 4]
     #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
     pub(crate) spz_version: Option<SpzVersion>,
-    /// Folder of the scene that the splat shows: say what is lost, in dB, on the photos that training never saw
-    /// [default: none]
+    /// Folder of the scene that the splat shows: say what is lost, in dB, on the photos that training never
+    /// saw [default: none]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]

@@ -35,7 +35,8 @@ const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
-/// New here? `genesplat demo` builds a small scene, trains it by the published method and by ours, and shows the difference.
+/// New here? `genesplat demo` builds a small scene, trains it by the published method and by ours, and shows
+/// the difference.
 #[derive(Debug, Parser)]
 #[command(name = "genesplat", version, max_term_width = 120, after_help = EXIT_STATUS)]
 pub(crate) struct Arguments {
@@ -65,11 +66,13 @@ pub(crate) fn moved(name: &str) -> Option<&'static str> {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Start here: build a small scene, train it by the published method and by ours, show the difference (a few minutes)
+    /// Start here: build a small scene, train it by the published method and by ours, show the difference (a
+    /// few minutes)
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
-    /// Find the cameras of a folder of photos, or of a video, so that it can be trained; can be interrupted and goes on
+    /// Find the cameras of a folder of photos, or of a video, so that it can be trained; can be interrupted
+    /// and goes on
     Poses(PosesArgs),
     /// Look at a scene, a splat or a run: what is in it, what looks wrong, what training will take here
     Inspect(InspectArgs),
@@ -79,7 +82,8 @@ pub(crate) enum Command {
     Render(RenderArgs),
     /// Look at a splat in the browser: a page on this machine that this machine renders
     View(ViewArgs),
-    /// Write a splat as a page to send: one file that any browser shows in 3D, without a server and without a network
+    /// Write a splat as a page to send: one file that any browser shows in 3D, without a server and without a
+    /// network
     Export(ExportArgs),
     /// Write a splat as another format: .ply, compressed .ply, .splat, .spz, .sog or .glb
     Convert(ConvertArgs),
@@ -87,7 +91,8 @@ pub(crate) enum Command {
     Split(SplitArgs),
     /// Put the splats of blocks together
     Merge(MergeArgs),
-    /// Make a finished splat of any trainer better: gradient steps, whose last states are averaged, or the genetic search
+    /// Make a finished splat of any trainer better: gradient steps, whose last states are averaged, or the
+    /// genetic search
     Refine(RefineArgs),
     /// List what this machine can train on
     Devices,
@@ -124,8 +129,8 @@ pub(crate) struct ManArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
-    /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo
-    /// left there is replaced
+    /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an
+    /// earlier demo left there is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub(crate) out: PathBuf,
     /// Method of the second run; the first is 3dgs
@@ -164,9 +169,9 @@ const OF_SPLATS: [&str; 12] = [
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
-    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded as it
-    /// was trained on them unless a flag says otherwise; --downscale divides the size that they had there. Or a picture, a
-    /// PNG or JPEG
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are
+    /// loaded as it was trained on them unless a flag says otherwise; --downscale divides the size that they
+    /// had there. Or a picture, a PNG or JPEG
     #[arg(id = "splat", value_name = "SPLAT|RUN|A.png", required_unless_present = "install_lpips")]
     pub(crate) path: Option<PathBuf>,
     /// Another picture of the same size: measure how alike both are
@@ -175,7 +180,8 @@ pub(crate) struct EvaluateArgs {
     /// Folder of the scene with the photos to compare with [default: that of the RUN; a SPLAT needs it]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
-    /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that it saw
+    /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that
+    /// it saw
     #[arg(long, value_name = "SPLIT", value_parser = choice(SPLITS), default_value = "test")]
     pub(crate) split: Split,
     #[command(flatten)]
@@ -188,8 +194,8 @@ pub(crate) struct EvaluateArgs {
     pub(crate) machine: MachineArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
-    /// Check files of weights first, and put them where LPIPS is looked for: torchvision's VGG16 or AlexNet (.pth) and the
-    /// heads of the Python package lpips (weights/v0.1/*.pth), or safetensors with both
+    /// Check files of weights first, and put them where LPIPS is looked for: torchvision's VGG16 or AlexNet
+    /// (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or safetensors with both
     #[arg(long, value_name = "FILE", num_args = 1.., help_heading = MORE)]
     pub(crate) install_lpips: Vec<PathBuf>,
 }
@@ -206,8 +212,8 @@ pub(crate) struct RenderArgs {
     /// Render the viewpoints of many photos
     #[arg(long, value_enum, value_name = "SPLIT")]
     pub(crate) split: Option<RenderSplit>,
-    /// Render what a moving camera sees: orbit (around the scene, once), spiral (small circles in front of it),
-    /// interpolate (from camera to camera), or a file that the page of `genesplat view` has saved
+    /// Render what a moving camera sees: orbit (around the scene, once), spiral (small circles in front of
+    /// it), interpolate (from camera to camera), or a file that the page of `genesplat view` has saved
     #[arg(long, value_name = "orbit|spiral|interpolate|FILE.json", value_parser = PathChoice::parse)]
     pub(crate) path: Option<PathChoice>,
     /// Frames of the path, 2 to 10000 [default: 120]
@@ -223,16 +229,16 @@ pub(crate) struct RenderArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct RefineArgs {
-    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, another
-    /// format that `genesplat convert` reads, or the folder of a run, whose photos are loaded as it was trained on them
-    /// unless a flag says otherwise; --downscale divides the size that they had there
+    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it,
+    /// another format that `genesplat convert` reads, or the folder of a run, whose photos are loaded as it
+    /// was trained on them unless a flag says otherwise; --downscale divides the size that they had there
     #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
     /// Folder of the scene that it shows [default: that of the RUN; a SPLAT needs it]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
-    /// The splat to write, in the format that its name ends in. Ctrl-C ends the refinement, and what it has reached so
-    /// far is written
+    /// The splat to write, in the format that its name ends in. Ctrl-C ends the refinement, and what it has
+    /// reached so far is written
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Gradient steps, one photo each [default: 2000]; none with --genetic, which only searches
@@ -244,8 +250,8 @@ pub(crate) struct RefineArgs {
     /// CPUs of one kind
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     pub(crate) seed: Option<u64>,
-    /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names do not
-    /// count
+    /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names
+    /// do not count
     #[arg(long, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
@@ -274,8 +280,9 @@ const SEEDS: RangeTo<u64> = ..1 << 63;
 /// A finished splat, the photos that it is shown beside, and where that is computed.
 #[derive(Debug, Args)]
 pub(crate) struct SplatArgs {
-    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded as it
-    /// was trained on them unless a flag says otherwise; --downscale divides the size that they had there
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are
+    /// loaded as it was trained on them unless a flag says otherwise; --downscale divides the size that they
+    /// had there
     #[arg(id = "splat", value_name = "SPLAT|RUN")]
     pub(crate) path: PathBuf,
     #[command(flatten)]
@@ -289,8 +296,8 @@ pub(crate) struct SplatArgs {
 /// What a finished splat is shown on.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct ShownOnArgs {
-    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a file, which does
-    /// not say, black]
+    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a file,
+    /// which does not say, black]
     #[arg(long, value_name = "COLOUR", value_parser = choice(FIXED_BACKGROUNDS))]
     pub(crate) background: Option<Background>,
 }

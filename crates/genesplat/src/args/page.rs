@@ -14,12 +14,12 @@ const NEAR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 /// A page that shows a run.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct TrainPageArgs {
-    /// Show the run in the browser while it trains: a page on this machine, whose address is printed. Rendering for it
-    /// takes at most 5 % of the time while it is open, and none otherwise
+    /// Show the run in the browser while it trains: a page on this machine, whose address is printed.
+    /// Rendering for it takes at most 5 % of the time while it is open, and none otherwise
     #[arg(long)]
     view: bool,
-    /// Address of the page, with a port or without [default: 127.0.0.1, any port, so that only this machine reaches
-    /// it]. Whoever knows the whole address, token included, can look and stop the run
+    /// Address of the page, with a port or without [default: 127.0.0.1, any port, so that only this machine
+    /// reaches it]. Whoever knows the whole address, token included, can look and stop the run
     #[arg(long, value_name = "IP[:PORT]", value_parser = address, requires = "view", help_heading = MORE)]
     view_address: Option<SocketAddr>,
 }
@@ -34,7 +34,8 @@ impl TrainPageArgs {
 /// A page that shows a splat.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct PageArgs {
-    /// Address of the page, with a port or without [default: 127.0.0.1, any port, so that only this machine reaches it]
+    /// Address of the page, with a port or without [default: 127.0.0.1, any port, so that only this machine
+    /// reaches it]
     #[arg(long, value_name = "IP[:PORT]", value_parser = address)]
     view_address: Option<SocketAddr>,
 }
@@ -47,7 +48,8 @@ impl PageArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ViewArgs {
-    /// Folder of the scene, for its photos and cameras [default: that of the RUN, if it is still there; none for a SPLAT]
+    /// Folder of the scene, for its photos and cameras [default: that of the RUN, if it is still there; none
+    /// for a SPLAT]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]
@@ -61,8 +63,8 @@ pub(crate) struct ExportArgs {
     /// The page to write: one file that any browser shows, from the disk and without a network
     #[arg(long, value_name = "FILE.html")]
     pub(crate) out: PathBuf,
-    /// Folder of the scene, for the cameras to jump to: those of photos that training never saw [default: that of the RUN,
-    /// if it is still there; none for a SPLAT]
+    /// Folder of the scene, for the cameras to jump to: those of photos that training never saw [default:
+    /// that of the RUN, if it is still there; none for a SPLAT]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     /// What the page is called [default: the name of the scene, else of the file]
@@ -95,7 +97,9 @@ impl PathChoice {
 
 fn address(text: &str) -> Result<SocketAddr, String> {
     let bare = || text.parse::<IpAddr>().map(|address| SocketAddr::new(address, 0));
-    text.parse().or_else(|_| bare()).map_err(|_| "an address such as 127.0.0.1 or 192.168.1.5:7007 is needed".into())
+    text.parse()
+        .or_else(|_| bare())
+        .map_err(|_| "an address such as 127.0.0.1 or 192.168.1.5:7007 is needed".into())
 }
 
 #[cfg(test)]

@@ -20,12 +20,12 @@ pub(crate) struct PhotosArgs {
     pub(crate) images: Option<PathBuf>,
     #[command(flatten)]
     hold_out: HoldOutArgs,
-    /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and transparency mean
-    /// [default: usual]
+    /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and
+    /// transparency mean [default: usual]
     #[arg(long, value_name = "USE", value_parser = choice(MASKS), help_heading = MORE)]
     mask: Option<MaskUse>,
-    /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way from the middle
-    /// of the cameras to the farthest of them, if that is less]
+    /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way
+    /// from the middle of the cameras to the farthest of them, if that is less]
     #[arg(long, value_name = "DEPTH", value_parser = above_zero, help_heading = MORE)]
     near: Option<f64>,
 }
@@ -35,12 +35,12 @@ pub(crate) struct PhotosArgs {
 #[group(multiple = false)]
 #[command(next_help_heading = MORE)]
 pub(crate) struct HoldOutArgs {
-    /// Hold out every N-th photo by name for testing, at least 2 [default: the test photos that the scene names, else
-    /// every 8th]
+    /// Hold out every N-th photo by name for testing, at least 2 [default: the test photos that the scene
+    /// names, else every 8th]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TEST_EVERY))]
     test_every: Option<u32>,
-    /// Hold out the photos that FILE names, one a line: file names, with or without their endings; a folder before the
-    /// name tells photos of one name apart
+    /// Hold out the photos that FILE names, one a line: file names, with or without their endings; a folder
+    /// before the name tells photos of one name apart
     #[arg(long, value_name = "FILE")]
     test_list: Option<PathBuf>,
     /// Hold out no photo: all of them train, and no figures tell how good the splat is on others
@@ -80,8 +80,10 @@ fn above_zero(text: &str) -> Result<f64, String> {
 }
 
 fn read_list(file: &Path) -> Result<HoldOut> {
-    let text = input::read_text(file).map_err(|error| anyhow!("cannot read the list {}: {error}", shown(file)))?;
-    let names: Vec<String> = text.lines().map(str::trim).filter(|line| !line.is_empty()).map(str::to_owned).collect();
+    let text =
+        input::read_text(file).map_err(|error| anyhow!("cannot read the list {}: {error}", shown(file)))?;
+    let names: Vec<String> =
+        text.lines().map(str::trim).filter(|line| !line.is_empty()).map(str::to_owned).collect();
     ensure!(
         !names.is_empty(),
         "the list {} names no photo; write a file name a line, or give --train-on-all to hold none out",

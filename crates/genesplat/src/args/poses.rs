@@ -8,11 +8,12 @@ use genesplat::run::settings::THREADS;
 
 #[derive(Debug, Args)]
 pub(crate) struct PosesArgs {
-    /// Folder or zip of photos (JPEG, PNG, WebP, in folders HEIC), or a video: of something that stands still, from many places, in small steps
+    /// Folder or zip of photos (JPEG, PNG, WebP, in folders HEIC), or a video: of something that stands
+    /// still, from many places, in small steps
     #[arg(value_name = "PHOTOS|VIDEO")]
     pub(crate) photos: PathBuf,
-    /// Folder for the scene; made if it is missing. It will hold the photos in images, their cameras in sparse/0, and in
-    /// poses what a search that was stopped goes on from
+    /// Folder for the scene; made if it is missing. It will hold the photos in images, their cameras in
+    /// sparse/0, and in poses what a search that was stopped goes on from
     #[arg(long, value_name = "SCENE")]
     pub(crate) out: PathBuf,
     /// Photos to take from a video, the sharpest of each interval [default: 120]

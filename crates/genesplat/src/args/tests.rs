@@ -38,7 +38,8 @@ fn settings_in(text: &str) -> impl Iterator<Item = &str> {
         "toml",
         "txt",
     ];
-    let is_word = |word: &str| !word.is_empty() && word.chars().all(|char| char.is_ascii_lowercase() || char == '_');
+    let is_word =
+        |word: &str| !word.is_empty() && word.chars().all(|char| char.is_ascii_lowercase() || char == '_');
     let words = text.split(|char: char| !(char.is_ascii_alphanumeric() || "_./".contains(char)));
     words.map(|word| word.trim_end_matches('.')).filter(move |word| {
         let parts = word.split_once('.');
@@ -49,7 +50,9 @@ fn settings_in(text: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn settings_that_help_names_exist() {
     let problem = |setting: &str| {
-        let file = genesplat::run::settings::ConfigFile::from_table(format!("{setting} = 'no value'").parse().unwrap());
+        let file = genesplat::run::settings::ConfigFile::from_table(
+            format!("{setting} = 'no value'").parse().unwrap(),
+        );
         file.map_or_else(|error| error.message().to_owned(), |_| String::new())
     };
     assert!(problem("method.absolute_threshold").contains("unknown field"), "a name that is wrong is found");
@@ -77,7 +80,8 @@ fn whatever_shows_a_splat_takes_masks_and_a_near_plane() {
         Command::Render(args) => (args.splat.path, args.splat.photos),
         _ => unreachable!("these four show splats"),
     };
-    for command in ["view", "export --out a.html", "evaluate --data d", "render --data d --split all --out o"] {
+    for command in ["view", "export --out a.html", "evaluate --data d", "render --data d --split all --out o"]
+    {
         let (splat, photos) = of_splat(&format!("genesplat {command} a.ply --near 0.5 --mask usual"));
         let asked = photos.asked().unwrap();
         assert_eq!((splat, asked.mask, asked.near), ("a.ply".into(), Some(MaskUse::Usual), Some(0.5)));

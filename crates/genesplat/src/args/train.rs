@@ -1,4 +1,5 @@
-//! `genesplat train`: how long, by which method, with which evolution; and how these flags win over a configuration.
+//! `genesplat train`: how long, by which method, with which evolution; and how these flags win over a
+//! configuration.
 
 use std::path::PathBuf;
 
@@ -14,16 +15,18 @@ use super::{PhotosArgs, SEEDS, TrainPageArgs};
 
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
-    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in
-    /// images; or a transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and
-    /// transforms_test.json, and the photos that they name. A zip of one is unpacked into DIR/scene
+    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its
+    /// photos in images; or a transforms.json of nerfstudio or instant-ngp, or Blender's
+    /// transforms_train.json and transforms_test.json, and the photos that they name. A zip of one is
+    /// unpacked into DIR/scene
     pub(crate) dataset: PathBuf,
-    /// The dataset is a folder or a zip of photos without cameras, or a video: find the cameras first, as `genesplat poses` does, and
-    /// keep that scene in DIR/scene
+    /// The dataset is a folder or a zip of photos without cameras, or a video: find the cameras first, as
+    /// `genesplat poses` does, and keep that scene in DIR/scene
     #[arg(long)]
     pub(crate) poses: bool,
-    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, report.html, metrics.json,
-    /// config.toml, log.jsonl and test/*.png. Results of an earlier run there are never written over
+    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, report.html,
+    /// metrics.json, config.toml, log.jsonl and test/*.png. Results of an earlier run there are never written
+    /// over
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Named settings; flags given here win over them
@@ -35,14 +38,16 @@ pub(crate) struct TrainArgs {
     pub(crate) search: SearchArgs,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
-    /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
+    /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:
+    /// none]
     #[arg(long, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,
-    /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
+    /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the
+    /// interruption
     #[arg(long)]
     pub(crate) resume: bool,
-    /// With --resume: go on although photos, masks, cameras or points are not what the run began with. The result is then
-    /// that of neither, and DIR/inputs.json says what has changed
+    /// With --resume: go on although photos, masks, cameras or points are not what the run began with. The
+    /// result is then that of neither, and DIR/inputs.json says what has changed
     #[arg(long, requires = "resume", help_heading = MORE)]
     pub(crate) accept_changes: bool,
     #[command(flatten)]
@@ -70,7 +75,10 @@ impl TrainArgs {
     }
 
     /// What is asked for; `over` is [`Self::override_config`].
-    pub(crate) fn asked<'a>(&'a self, over: &'a dyn Fn(&mut TrainConfig) -> Result<()>) -> Result<Training<'a>> {
+    pub(crate) fn asked<'a>(
+        &'a self,
+        over: &'a dyn Fn(&mut TrainConfig) -> Result<()>,
+    ) -> Result<Training<'a>> {
         Ok(Training {
             scene: self.scene(),
             out: &self.out,
@@ -88,7 +96,8 @@ impl TrainArgs {
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         self.schedule.override_config(train);
         // So many as are asked for, and not a tenth of them.
-        if self.preset.is_some() && self.schedule.iterations.is_some() && self.schedule.steps_scale.is_none() {
+        if self.preset.is_some() && self.schedule.iterations.is_some() && self.schedule.steps_scale.is_none()
+        {
             train.steps_scale = 1.0;
         }
         self.search.override_config(train)?;
@@ -103,24 +112,26 @@ pub(crate) struct ScheduleArgs {
     /// Method [default: genesplat]
     #[arg(long, value_name = "METHOD", value_parser = choice(METHODS))]
     method: Option<MethodName>,
-    /// Training steps, one photo each [default: 30000]. More is slower and mostly better; with a few dozen photos 7000 may be
-    /// as good. The schedule of genesplat fits into them; those of published methods are cut short
+    /// Training steps, one photo each [default: 30000]. More is slower and mostly better; with a few dozen
+    /// photos 7000 may be as good. The schedule of genesplat fits into them; those of published methods are
+    /// cut short
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
-    /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square root; makes
-    /// sense where many processes share a run, and steps are fewer
+    /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square
+    /// root; makes sense where many processes share a run, and steps are fewer
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = MORE)]
     views_per_step: Option<u32>,
-    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives the whole schedule in
-    /// a tenth of the steps; no interval gets shorter than 100
+    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives the whole
+    /// schedule in a tenth of the steps; no interval gets shorter than 100
     #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
     steps_scale: Option<f64>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes, with one build on CPUs of one kind
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
-    /// Train at most this many Gaussians, from the first step on [default: with genesplat the cloud grows to as many as the
-    /// photos can determine, and starting points are kept; else no limit, but 1000000 with mcmc and improved-gs, which grow
-    /// towards it on a curve of their own]. Bounds memory (2 to 4 KB a Gaussian) and time
+    /// Train at most this many Gaussians, from the first step on [default: with genesplat the cloud grows to
+    /// as many as the photos can determine, and starting points are kept; else no limit, but 1000000 with
+    /// mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds memory (2 to 4 KB a
+    /// Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
@@ -146,8 +157,8 @@ impl ScheduleArgs {
 /// The published search.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct SearchArgs {
-    /// Search after each opacity reset with the genetic algorithm of "An Evolutionary Boost to Gaussian Splatting
-    /// Optimization", with any method that resets opacities
+    /// Search after each opacity reset with the genetic algorithm of "An Evolutionary Boost to Gaussian
+    /// Splatting Optimization", with any method that resets opacities
     #[arg(long)]
     pub(crate) genetic: bool,
     /// Generations of each search, at least 1 [default: 100]. Time grows in proportion
@@ -159,8 +170,8 @@ pub(crate) struct SearchArgs {
 }
 
 impl SearchArgs {
-    /// Flags over the file; without a search there is nothing to change. A tournament cannot draw more individuals than there
-    /// are, so a small population shrinks it.
+    /// Flags over the file; without a search there is nothing to change. A tournament cannot draw more
+    /// individuals than there are, so a small population shrinks it.
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         if self.genetic {
             ensure!(
@@ -172,7 +183,10 @@ impl SearchArgs {
         }
         let is_asked = self.generations.is_some() || self.population.is_some();
         let Some(genetic) = &mut train.genetic else {
-            ensure!(!is_asked, "--generations and --population are of --genetic; add that, or leave them out");
+            ensure!(
+                !is_asked,
+                "--generations and --population are of --genetic; add that, or leave them out"
+            );
             return Ok(());
         };
         replace(&mut genetic.generations, self.generations);
@@ -188,11 +202,12 @@ impl SearchArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = MORE)]
 pub(crate) struct ShownArgs {
-    /// Colour behind the scene [default: black]. White suits objects cut out of their photos; random keeps them opaque
+    /// Colour behind the scene [default: black]. White suits objects cut out of their photos; random keeps
+    /// them opaque
     #[arg(long, value_name = "COLOUR", value_parser = choice(BACKGROUNDS))]
     background: Option<Background>,
-    /// Dim Gaussians smaller than a pixel instead of only widening them, so that views from afar do not swell.
-    /// Not with --method mip-splatting, which has a filter of its own
+    /// Dim Gaussians smaller than a pixel instead of only widening them, so that views from afar do not
+    /// swell. Not with --method mip-splatting, which has a filter of its own
     #[arg(long)]
     antialiasing: bool,
 }
@@ -228,7 +243,8 @@ fn evolve_is_method(mode: &str) -> Result<String, String> {
 }
 
 fn signal_is_gone(_: &str) -> Result<String, String> {
-    Err("each method has its own signal now; --method improved-gs and genesplat take absolute gradients".into())
+    Err("each method has its own signal now; --method improved-gs and genesplat take absolute gradients"
+        .into())
 }
 
 fn replace<T>(setting: &mut T, flag: Option<T>) {
@@ -238,5 +254,8 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
 }
 
 fn positive(text: &str) -> Result<usize, String> {
-    text.parse().ok().filter(|&count: &usize| count > 0).ok_or_else(|| "a whole number from 1 is needed".into())
+    text.parse()
+        .ok()
+        .filter(|&count: &usize| count > 0)
+        .ok_or_else(|| "a whole number from 1 is needed".into())
 }

@@ -1,7 +1,8 @@
-//! The folder of blocks while they are written: who writes to it, and whether an earlier process was killed midway.
+//! The folder of blocks while they are written: who writes to it, and whether an earlier process was killed
+//! midway.
 //!
-//! A note is written first, and removed last. Where it lies, the folder is ours and unfinished, and the command that it
-//! tells of goes on there.
+//! A note is written first, and removed last. Where it lies, the folder is ours and unfinished, and the
+//! command that it tells of goes on there.
 
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -35,7 +36,8 @@ pub(super) struct Claim {
 }
 
 impl Claim {
-    /// Locks `out` for the blocks of `list`, cut in this way: an empty folder, or one where the same command was killed.
+    /// Locks `out` for the blocks of `list`, cut in this way: an empty folder, or one where the same command
+    /// was killed.
     pub(super) fn take(out: &Path, list: &SceneList, blocks: [usize; 2], margin: f64) -> Result<Self> {
         check_free(out)?;
         let note = Note { blocks, margin: margin.to_string(), digest: digest(list) };

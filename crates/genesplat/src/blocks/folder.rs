@@ -33,7 +33,8 @@ impl Cut {
             "{} has no {BLOCKS}, so it is no folder of blocks; give the --out of `genesplat split`",
             shown(folder)
         );
-        let text = input::read_text(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
+        let text =
+            input::read_text(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
         let damaged = || format!("{} is damaged; split the scene again", shown(&path));
         let cut: Self = serde_json::from_str(&text).with_context(damaged)?;
         let blocks = cut.grid.blocks();
@@ -95,13 +96,16 @@ mod tests {
         assert_eq!((read.scene, read.grid.blocks().len()), (cut.scene, 4));
         for (block, again) in cut.grid.blocks().iter().zip(read.grid.blocks()) {
             assert_eq!(block.name, again.name);
-            assert!(points().into_iter().all(|point| cut.grid.owns(block, point) == read.grid.owns(again, point)));
+            assert!(
+                points().into_iter().all(|point| cut.grid.owns(block, point) == read.grid.owns(again, point))
+            );
         }
         let file = place.path().join(BLOCKS);
         let axes = r#"{"axes": [[1, 0, 0], [0, 0, 1]]}"#;
         let of_blocks = |names: &[&str]| {
-            let blocks =
-                names.iter().map(|name| format!(r#"{{"name": "{name}", "core": [[null, null], [null, null]]}}"#));
+            let blocks = names
+                .iter()
+                .map(|name| format!(r#"{{"name": "{name}", "core": [[null, null], [null, null]]}}"#));
             let blocks = blocks.collect::<Vec<_>>().join(", ");
             format!(r#"{{"scene": "", "grid": {{"ground": {axes}, "blocks": [{blocks}]}}}}"#)
         };
@@ -121,8 +125,12 @@ mod tests {
         let block = &cut.grid.blocks()[0];
         let scene = scene_of(block, &folder);
         fs::create_dir_all(&scene).unwrap();
-        let [shown_scene, run] = [&scene, &run_of(block, &folder)].map(|path| format!("'{}'", path.display()));
-        assert_eq!(command(block, &folder), format!("genesplat train {shown_scene} --train-on-all --out {run}"));
+        let [shown_scene, run] =
+            [&scene, &run_of(block, &folder)].map(|path| format!("'{}'", path.display()));
+        assert_eq!(
+            command(block, &folder),
+            format!("genesplat train {shown_scene} --train-on-all --out {run}")
+        );
         fs::write(scene.join(TEST_LIST), "a.png\n").unwrap();
         let list = scene.join(TEST_LIST);
         let expected = format!("genesplat train {shown_scene} --test-list '{}' --out {run}", list.display());

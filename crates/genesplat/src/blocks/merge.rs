@@ -14,7 +14,8 @@ use glam::DVec3;
 
 use super::folder::{Cut, command, run_of};
 
-/// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be shown.
+/// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be
+/// shown.
 pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
     let grid = Cut::read(folder)?.grid;
     check_runs(&grid, folder)?;
@@ -23,7 +24,8 @@ pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
     for block in grid.blocks() {
         let run = run_of(block, folder);
         let splat = splat::open(&run)?;
-        let stands = |row: &u32| grid.owns(block, DVec3::from(splat.cloud.positions[*row as usize].map(f64::from)));
+        let stands =
+            |row: &u32| grid.owns(block, DVec3::from(splat.cloud.positions[*row as usize].map(f64::from)));
         let rows: Vec<u32> = (0..splat.cloud.len() as u32).filter(stands).collect();
         let part = (splat.cloud.gather(&rows), splat.settings);
         let Some(whole) = &mut whole else {
@@ -60,7 +62,12 @@ fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
         ScreenFilter::Mip => "variant mip-splatting",
     };
     let filter_3d = if has_filter_3d { "a 3D filter" } else { "no 3D filter" };
-    [format!("background {background}"), filter.to_owned(), format!("sh_degree {sh_degree}"), filter_3d.to_owned()]
+    [
+        format!("background {background}"),
+        filter.to_owned(),
+        format!("sh_degree {sh_degree}"),
+        filter_3d.to_owned(),
+    ]
 }
 
 /// Fails where a photo that two blocks share was not the same, or stood elsewhere, when their runs began.
@@ -87,9 +94,14 @@ fn check_runs(grid: &Grid, folder: &Path) -> Result<()> {
             (false, true, true) => {}
         }
     }
-    let names = |blocks: &[&Block]| blocks.iter().map(|block| block.name.as_str()).collect::<Vec<_>>().join(", ");
+    let names =
+        |blocks: &[&Block]| blocks.iter().map(|block| block.name.as_str()).collect::<Vec<_>>().join(", ");
     if let Some(first) = missing.first() {
-        bail!("no splat is there yet of block {}; {} makes the first", names(&missing), command(first, folder));
+        bail!(
+            "no splat is there yet of block {}; {} makes the first",
+            names(&missing),
+            command(first, folder)
+        );
     }
     if let Some(first) = failed.first() {
         let (names, command) = (names(&failed), command(first, folder));
@@ -97,7 +109,9 @@ fn check_runs(grid: &Grid, folder: &Path) -> Result<()> {
     }
     if let Some(first) = stopped.first() {
         let (names, command) = (names(&stopped), command(first, folder));
-        bail!("the run of block {names} was stopped before its end; {command} --resume goes on with the first");
+        bail!(
+            "the run of block {names} was stopped before its end; {command} --resume goes on with the first"
+        );
     }
     Ok(())
 }
@@ -113,7 +127,10 @@ mod tests {
         let with = |settings: RenderSettings| (Gaussians::zeros(1), settings);
         let filtered = Gaussians { filter_3d: Some(vec![1.0]), ..Gaussians::zeros(1) };
         let cases = [
-            (with(RenderSettings { background: [1.0; 3], ..usual.1 }), ["background black", "background white"]),
+            (
+                with(RenderSettings { background: [1.0; 3], ..usual.1 }),
+                ["background black", "background white"],
+            ),
             (
                 with(RenderSettings { filter: ScreenFilter::Antialiased, ..usual.1 }),
                 ["antialiasing off", "antialiasing on"],

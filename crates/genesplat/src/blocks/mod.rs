@@ -1,5 +1,5 @@
-//! Scenes that one memory does not hold: cut into blocks on the ground ([`genesplat::io::blocks`]), each an ordinary scene, and put
-//! together again.
+//! Scenes that one memory does not hold: cut into blocks on the ground ([`genesplat::io::blocks`]), each an
+//! ordinary scene, and put together again.
 
 pub(crate) mod claim;
 mod folder;

@@ -22,10 +22,18 @@ struct Content<'a> {
     points: Vec<Point>,
 }
 
-/// Cuts `list`, the scene at `scene`, into `columns` x `rows` blocks, and writes them below `out`. A block is also given what stands
-/// within `margin` of its sides beyond its core. Where a process was killed that did the same, this one goes on.
-pub(crate) fn split(scene: &Path, list: &SceneList, count: [usize; 2], margin: f64, out: &Path) -> Result<()> {
-    let positions: Vec<DVec3> = list.points.iter().map(|point| DVec3::from(point.position.map(f64::from))).collect();
+/// Cuts `list`, the scene at `scene`, into `columns` x `rows` blocks, and writes them below `out`. A block is
+/// also given what stands within `margin` of its sides beyond its core. Where a process was killed that did
+/// the same, this one goes on.
+pub(crate) fn split(
+    scene: &Path,
+    list: &SceneList,
+    count: [usize; 2],
+    margin: f64,
+    out: &Path,
+) -> Result<()> {
+    let positions: Vec<DVec3> =
+        list.points.iter().map(|point| DVec3::from(point.position.map(f64::from))).collect();
     let cameras: Vec<Camera> = list.photos.iter().map(|photo| photo.camera).collect();
     let grid = Grid::cut(&cameras, &positions, count);
     let members = Members::of(&grid, &cameras, &positions, margin);
@@ -61,15 +69,20 @@ fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
             place(mask, folder, &Path::new("masks").join(format!("{}.png", photo.name)))?;
         }
     }
-    let tests: Vec<&str> = content.photos.iter().filter(|photo| photo.is_test).map(|photo| &*photo.name).collect();
+    let tests: Vec<&str> =
+        content.photos.iter().filter(|photo| photo.is_test).map(|photo| &*photo.name).collect();
     if let Some(name) = tests.iter().find(|name| name.contains(['\n', '\r'])) {
-        bail!("{} has a line break in its name, and lists of test photos have a line each; rename it", shown(name));
+        bail!(
+            "{} has a line break in its name, and lists of test photos have a line each; rename it",
+            shown(name)
+        );
     }
     if !tests.is_empty() {
         write_own_text(folder, TEST_LIST, &(tests.join("\n") + "\n"))?;
     }
     let model = make_own_folder(folder, "sparse/0")?;
-    write_model(&model, &model_of(&content.photos, content.points.clone())).map_err(|error| unwritable(&model, &error))
+    write_model(&model, &model_of(&content.photos, content.points.clone()))
+        .map_err(|error| unwritable(&model, &error))
 }
 
 /// Puts a photo or a mask into the scene of a block, unless it is there since the last time.
@@ -90,8 +103,9 @@ fn place(file: &Path, folder: &Path, name: &Path) -> Result<()> {
 }
 
 fn tell(block: &Block, content: &Content<'_>, out: &Path) -> Result<()> {
-    let [photos, points] = [(content.photos.len(), ["photo", "photos"]), (content.points.len(), ["point", "points"])]
-        .map(|(count, [one, many])| format!("{} {}", thousands(count), plural(count, one, many)));
+    let [photos, points] =
+        [(content.photos.len(), ["photo", "photos"]), (content.points.len(), ["point", "points"])]
+            .map(|(count, [one, many])| format!("{} {}", thousands(count), plural(count, one, many)));
     output::print(&format!("block {}: {photos}, {points}", block.name))?;
     output::print(&format!("  {}", command(block, out)))
 }

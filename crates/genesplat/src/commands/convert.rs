@@ -34,7 +34,11 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos.asked()?)).transpose()?;
     if let Some(scene) = &scene {
         check_test_photos(&args.splat, scene)?;
-        ensure!(!scene.test.is_empty(), "{} has no test photos to measure a loss on; leave --data out", scene.name);
+        ensure!(
+            !scene.test.is_empty(),
+            "{} has no test photos to measure a loss on; leave --data out",
+            scene.name
+        );
     }
     say_size("read from", &args.splat, in_file)?;
     let cloud = cut(&splat.cloud, args)?;
@@ -71,7 +75,11 @@ fn clean(cloud: Gaussians, path: &Path) -> Result<Gaussians> {
     let Some(first) = faults.first() else { return Ok(cloud) };
     let count = thousands(faults.len());
     let since = plural(faults.len(), "is left out, since", "are left out, the first since");
-    ensure!(!cloud.is_empty(), "no Gaussian of {} can be shown, the first since {first}; export it again", shown(path));
+    ensure!(
+        !cloud.is_empty(),
+        "no Gaussian of {} can be shown, the first since {first}; export it again",
+        shown(path)
+    );
     output::tell(&format!("notice: {count} of {in_file} Gaussians {since} {first}"));
     Ok(cloud)
 }
@@ -100,6 +108,7 @@ fn ensure_memory(gaussians: usize) -> Result<()> {
 fn say_size(what: &str, path: &Path, gaussians: usize) -> Result<()> {
     let file = if path.is_dir() { path.join(CLOUD) } else { path.to_owned() };
     let bytes = fs::metadata(&file).map_or(0, |file| file.len());
-    let (count, size, each) = (thousands(gaussians), thousands(bytes as usize), bytes as f64 / gaussians as f64);
+    let (count, size, each) =
+        (thousands(gaussians), thousands(bytes as usize), bytes as f64 / gaussians as f64);
     output::print(&format!("{count} Gaussians {what} {}: {size} bytes, {each:.1} a Gaussian", shown(file)))
 }

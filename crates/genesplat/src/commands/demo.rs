@@ -1,7 +1,8 @@
-//! `genesplat demo`: the bundled scene, trained by the published method and by another, ours unless told otherwise.
+//! `genesplat demo`: the bundled scene, trained by the published method and by another, ours unless told
+//! otherwise.
 //!
-//! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does.
+//! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it
+//! densifies, resets opacities and evolves as often as a full run does.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -48,8 +49,10 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
         halves[0] != halves[1],
         "the demo compares 3dgs with another method; choose another --method, or add --genetic"
     );
-    let mut halves: Vec<Half> =
-        halves.into_iter().map(|(method, genetic)| Half::new(args, method, genetic)).collect::<Result<_>>()?;
+    let mut halves: Vec<Half> = halves
+        .into_iter()
+        .map(|(method, genetic)| Half::new(args, method, genetic))
+        .collect::<Result<_>>()?;
     check_gallery(&args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag();
@@ -106,13 +109,15 @@ fn gallery_in(out: &Path) -> PathBuf {
     out.join("gallery")
 }
 
-/// Fails where there is a gallery that no demo has built, or a page or picture without one, since ours would be written over it.
+/// Fails where there is a gallery that no demo has built, or a page or picture without one, since ours would
+/// be written over it.
 fn check_gallery(out: &Path) -> Result<()> {
     let folder = &gallery_in(out);
     [PICTURE, PAGE, "gallery/images/gallery_000.png", "gallery/sparse/0/images.bin"]
         .iter()
         .try_for_each(|name| files::check_name(out, name))?;
-    let strange = [PICTURE, PAGE].map(|name| out.join(name)).into_iter().find(|file| file.exists() && !folder.exists());
+    let strange =
+        [PICTURE, PAGE].map(|name| out.join(name)).into_iter().find(|file| file.exists() && !folder.exists());
     if let Some(file) = strange {
         bail!("{} is of no earlier demo, and would be written over; choose another --out", shown(&file));
     }
@@ -186,9 +191,11 @@ impl Half {
 
 /// What both runs have reached, and the difference; a row is left out where it was not measured.
 fn table(without: &Metrics, with: &Metrics) -> String {
-    let line =
-        |name: &str, [before, after, change]: [&str; 3]| format!("{name:<18} {before:>12} {after:>16} {change:>12}\n");
-    let names = [without, with].map(|run| format!("{}{}", run.method, if run.genetic { "-genetic" } else { "" }));
+    let line = |name: &str, [before, after, change]: [&str; 3]| {
+        format!("{name:<18} {before:>12} {after:>16} {change:>12}\n")
+    };
+    let names =
+        [without, with].map(|run| format!("{}{}", run.method, if run.genetic { "-genetic" } else { "" }));
     let mut text = line("", [&names[0], &names[1], "difference"]);
     for ((name, digits, before), (_, _, after)) in figures(without).into_iter().zip(figures(with)) {
         let (Some(before), Some(after)) = (before, after) else { continue };

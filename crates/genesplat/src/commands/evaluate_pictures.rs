@@ -68,7 +68,9 @@ fn read(path: &Path) -> Result<Photo> {
         output::tell(&format!("notice: {path} has more than 8 bits a channel, and is compared at 8"));
     }
     if discarded.transparency {
-        output::tell(&format!("notice: {path} is transparent in places, and is compared as it looks on black"));
+        output::tell(&format!(
+            "notice: {path} is transparent in places, and is compared as it looks on black"
+        ));
     }
     Ok(photo)
 }

@@ -28,8 +28,11 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
     let settings = splat.settings;
-    let options =
-        Options { screen_filter: settings.filter, sh_degree: settings.sh_degree, spz_version: SpzVersion::V3 };
+    let options = Options {
+        screen_filter: settings.filter,
+        sh_degree: settings.sh_degree,
+        spz_version: SpzVersion::V3,
+    };
     let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options)?;
     let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
     let framing = framing.unwrap_or_else(|| Framing::of_cloud(&splat.cloud));
@@ -42,7 +45,9 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
         }
         None => Vec::new(),
     };
-    let page = Standalone { title: &title, spz: &spz, gaussians, settings: &settings, framing, shots: &shots }.html();
+    let page =
+        Standalone { title: &title, spz: &spz, gaussians, settings: &settings, framing, shots: &shots }
+            .html();
     files::write_file(&args.out, |out| out.write_all(page.as_bytes()))?;
     let (count, views) = (thousands(gaussians), shots.len());
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
@@ -61,7 +66,8 @@ fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
     found.unwrap_or_else(of_file)
 }
 
-/// The cameras to jump to, each with what the splat looks like from there: of photos that training never saw, else of all.
+/// The cameras to jump to, each with what the splat looks like from there: of photos that training never saw,
+/// else of all.
 fn shoot(scene: &Scene, renderer: &mut dyn Renderer, settings: &RenderSettings) -> Result<Vec<Shot>> {
     let (split, views) = match scene.test.is_empty() {
         true => (Split::Train, &scene.train),

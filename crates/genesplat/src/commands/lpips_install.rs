@@ -14,8 +14,14 @@ use genesplat::terminal::output;
 const KNOWN_SUMS: [(&str, &str); 4] = [
     ("137fae61e223a0ffeb6b56e2ef8c925a36a106ef8b15d24a234071617b3ed744", "AlexNet with its heads"),
     ("89514fc74bd0e3652a3974b0f4a34cb01b04c50e5888dd93348cf3f7966862a6", "VGG16 with its heads, in f16"),
-    ("df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0", "the heads for AlexNet of lpips 0.1.4"),
-    ("a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868", "the heads for VGG16 of lpips 0.1.4"),
+    (
+        "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0",
+        "the heads for AlexNet of lpips 0.1.4",
+    ),
+    (
+        "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868",
+        "the heads for VGG16 of lpips 0.1.4",
+    ),
 ];
 
 /// Checks everything, then writes: one file a network, in the user's cache folder.
@@ -74,6 +80,9 @@ mod tests {
     fn names_that_promise_a_sum() {
         let promised = |name: &str| promised_sum(Path::new(name));
         assert_eq!(promised("a-b/vgg16-397923af.pth").as_deref(), Some("397923af"));
-        assert_eq!((promised("vgg.pth"), promised("my-network.pth"), promised("x-123.pth")), (None, None, None));
+        assert_eq!(
+            (promised("vgg.pth"), promised("my-network.pth"), promised("x-123.pth")),
+            (None, None, None)
+        );
     }
 }

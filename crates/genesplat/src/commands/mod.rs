@@ -50,8 +50,8 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     .map(|()| Ending::Whole)
 }
 
-/// Every `--out` and `--json` passes here before anything is read; the folders of runs are claimed by who trains into
-/// them.
+/// Every `--out` and `--json` passes here before anything is read; the folders of runs are claimed by who
+/// trains into them.
 fn check_outputs(command: &Command) -> Result<()> {
     let figures = |json: &JsonArgs, inputs: &[Option<&Path>]| {
         json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
@@ -60,7 +60,10 @@ fn check_outputs(command: &Command) -> Result<()> {
         Command::Inspect(args) => figures(&args.json, &[Some(&args.what), args.photos.test_list()]),
         Command::Evaluate(args) => {
             let weights = args.lpips.lpips_weights.as_deref();
-            figures(&args.json, &[args.path.as_deref(), args.other.as_deref(), args.photos.test_list(), weights])
+            figures(
+                &args.json,
+                &[args.path.as_deref(), args.other.as_deref(), args.photos.test_list(), weights],
+            )
         }
         Command::Render(args) => render::check_out(args),
         Command::Refine(args) => {
@@ -68,9 +71,15 @@ fn check_outputs(command: &Command) -> Result<()> {
             check_file(&args.out, Content::Splat, &inputs)?;
             format_of(&args.out).map(drop)
         }
-        Command::Convert(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.photos.test_list()]),
+        Command::Convert(args) => {
+            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.photos.test_list()])
+        }
         Command::Export(args) => {
-            check_file(&args.out, Content::Figures, &[Some(&args.splat.path), args.splat.photos.test_list()])?;
+            check_file(
+                &args.out,
+                Content::Figures,
+                &[Some(&args.splat.path), args.splat.photos.test_list()],
+            )?;
             export::check_name(&args.out)
         }
         Command::Merge(args) => check_file(&args.out, Content::Splat, &[]),

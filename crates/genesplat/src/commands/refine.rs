@@ -1,5 +1,5 @@
-//! `genesplat refine`: makes a splat of any trainer better, by gradient steps whose last states are averaged, or by the
-//! genetic search alone.
+//! `genesplat refine`: makes a splat of any trainer better, by gradient steps whose last states are averaged,
+//! or by the genetic search alone.
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter};
@@ -15,7 +15,9 @@ use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
-use genesplat::train::{Background, MethodConfig, MethodName, Outcome, Schedule, Start, TrainConfig, search, train};
+use genesplat::train::{
+    Background, MethodConfig, MethodName, Outcome, Schedule, Start, TrainConfig, search, train,
+};
 use toml::Table;
 
 use crate::args::RefineArgs;
@@ -100,8 +102,8 @@ fn check(args: &RefineArgs, train: &TrainConfig) -> Result<()> {
     Ok(())
 }
 
-/// A finished splat goes on where training ends: positions at their last rate, neither density control nor resets, and the
-/// mean of the last states. A file's rates count where it is of the same method.
+/// A finished splat goes on where training ends: positions at their last rate, neither density control nor
+/// resets, and the mean of the last states. A file's rates count where it is of the same method.
 fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
     let usual = if given.name == name { given } else { MethodConfig::of(name) };
     MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }

@@ -35,9 +35,14 @@ pub(crate) fn check_out(args: &RenderArgs) -> Result<()> {
     if args.path.is_some() && is_film(out) {
         return check_file(out, Content::Figures, &inputs);
     }
-    let is_file_name = PHOTO_ENDINGS.iter().chain(&VIDEO_ENDINGS).any(|known| ending(out) == *known) || is_film(out);
+    let is_file_name =
+        PHOTO_ENDINGS.iter().chain(&VIDEO_ENDINGS).any(|known| ending(out) == *known) || is_film(out);
     let films = if args.path.is_some() { " (a film ends in .mp4 or .gif)" } else { "" };
-    ensure!(!is_file_name, "{} is the name of a file, and many pictures need a folder{films}; give one", shown(out));
+    ensure!(
+        !is_file_name,
+        "{} is the name of a file, and many pictures need a folder{films}; give one",
+        shown(out)
+    );
     check_folder(out, "0001.png")
 }
 

@@ -1,4 +1,5 @@
-//! `genesplat render --path`: a splat seen by a camera that moves, as PNGs, or as a film that ffmpeg makes of them.
+//! `genesplat render --path`: a splat seen by a camera that moves, as PNGs, or as a film that ffmpeg makes of
+//! them.
 
 use std::ffi::OsStr;
 use std::io::{Read, Write};
@@ -47,7 +48,13 @@ pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
 }
 
 /// False where `stop` has ended it.
-fn render(args: &RenderArgs, splat: Splat, cameras: &[Camera], sink: &mut Sink, stop: &AtomicBool) -> Result<bool> {
+fn render(
+    args: &RenderArgs,
+    splat: Splat,
+    cameras: &[Camera],
+    sink: &mut Sink,
+    stop: &AtomicBool,
+) -> Result<bool> {
     let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", cameras.len() as u64);
@@ -71,7 +78,8 @@ fn cameras(choice: &PathChoice, scene: &Scene, frames: u32) -> Result<Vec<Camera
         PathChoice::Spiral => CameraPath::spiral(&known)?,
         PathChoice::Interpolate => CameraPath::through(&known)?,
         PathChoice::File(file) => {
-            let bytes = input::read(file).map_err(|error| anyhow!("cannot read the path {}: {error}", shown(file)))?;
+            let bytes = input::read(file)
+                .map_err(|error| anyhow!("cannot read the path {}: {error}", shown(file)))?;
             CameraPath::parse(&bytes).map_err(|error| anyhow!("{}: {error}", shown(file)))?
         }
     };
@@ -123,8 +131,10 @@ impl Sink {
                 shown(out)
             )
         })?;
-        let ffmpeg = ffmpeg(programs.command(&program), unfinished.temporary(), &ending(out), [width, height]);
-        let ffmpeg = { ffmpeg }.spawn().map_err(|error| anyhow!("cannot start {}: {error}", shown(program)))?;
+        let ffmpeg =
+            ffmpeg(programs.command(&program), unfinished.temporary(), &ending(out), [width, height]);
+        let ffmpeg =
+            { ffmpeg }.spawn().map_err(|error| anyhow!("cannot start {}: {error}", shown(program)))?;
         Ok(Self::Film(Film { ffmpeg, unfinished: Some(unfinished), path: out.to_owned() }))
     }
 
@@ -186,8 +196,8 @@ fn frame_name(frame: u32) -> String {
     format!("{frame:04}.png")
 }
 
-/// Frames come as raw pixels. The film goes into the file `out`, which is there: `file:` and a format keep ffmpeg from
-/// looking for a protocol, an option or a pattern in its name.
+/// Frames come as raw pixels. The film goes into the file `out`, which is there: `file:` and a format keep
+/// ffmpeg from looking for a protocol, an option or a pattern in its name.
 fn ffmpeg(mut command: Command, out: &Path, format: &str, [width, height]: [u32; 2]) -> Command {
     let size = format!("{width}x{height}");
     command.args([

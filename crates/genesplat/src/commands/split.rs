@@ -18,7 +18,11 @@ pub(crate) fn run(args: &SplitArgs) -> Result<()> {
     list.notices.iter().for_each(|notice| output::tell(&format!("notice: {notice}")));
     let wanted: usize = args.blocks.0.iter().product();
     if list.points.len() < wanted {
-        bail!("{} has {} points, too few to tell {wanted} blocks apart", shown(&args.data), list.points.len());
+        bail!(
+            "{} has {} points, too few to tell {wanted} blocks apart",
+            shown(&args.data),
+            list.points.len()
+        );
     }
     split(&args.data, &list, args.blocks.0, args.margin, &args.out)?;
     let merge = command_line(["genesplat", "merge", &shown(&args.out), "--out", "merged.ply"]);

@@ -26,8 +26,8 @@ use crate::args::{SCENE, TrainArgs};
 use crate::poses::{self, Request};
 use crate::unpacked;
 
-/// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
-/// mistyped path nor a change of mind must cost them.
+/// An earlier run's results stay in the folder until scene and weights are loaded and the device is open:
+/// neither a mistyped path nor a change of mind must cost them.
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if !cluster::is_member() {
         cluster::notice_other_starters();
@@ -119,7 +119,10 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
 
 /// Fails where ranks cannot do what is asked for.
 fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
-    ensure!(!args.poses, "one process finds cameras: run genesplat poses first, and train on its scene under mpirun");
+    ensure!(
+        !args.poses,
+        "one process finds cameras: run genesplat poses first, and train on its scene under mpirun"
+    );
     ensure!(
         !archive::is_zip(&args.dataset),
         "one process unpacks archives: unpack {} first, and train on its folder under mpirun",
@@ -137,7 +140,8 @@ fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
     Ok(())
 }
 
-/// Bytes of photos that a process keeps in memory: of a run by many, each needs some rows of one photo at a time.
+/// Bytes of photos that a process keeps in memory: of a run by many, each needs some rows of one photo at a
+/// time.
 fn photo_memory(cluster: Option<&Cluster>) -> u64 {
     if cluster.is_some() { 0 } else { scene::PHOTO_MEMORY }
 }

@@ -1,4 +1,5 @@
-//! Cameras that cannot be right: one that sees nothing, a scene before the near plane. Of one far from all others the scene tells.
+//! Cameras that cannot be right: one that sees nothing, a scene before the near plane. Of one far from all
+//! others the scene tells.
 
 use genesplat::core::constants::NEAR_DEPTH;
 use genesplat::core::{Camera, View, median};
@@ -12,7 +13,8 @@ use super::listed;
 const POINTS_MIN: usize = 10;
 /// Points that are looked at, at most.
 const POINTS_MAX: usize = 20_000;
-/// The scene is too small where less than this fraction of what is before the cameras is behind the near plane.
+/// The scene is too small where less than this fraction of what is before the cameras is behind the near
+/// plane.
 const VISIBLE_MIN: f64 = 0.5;
 
 /// What the cameras see of the points.
@@ -21,7 +23,8 @@ pub(super) struct PointsSeen {
     pub(super) counts: Vec<usize>,
     /// Median depth of what is seen, world units.
     pub(super) depth: Option<f64>,
-    /// Of the points in front of a camera the fraction that is drawn, beyond its near plane, over all cameras.
+    /// Of the points in front of a camera the fraction that is drawn, beyond its near plane, over all
+    /// cameras.
     drawn_fraction: f64,
     /// The near plane of all cameras, world units.
     near: f64,
@@ -31,7 +34,8 @@ pub(super) fn points_seen(views: &[&View], points: &[Point]) -> PointsSeen {
     let every = points.len().div_ceil(POINTS_MAX).max(1);
     let positions: Vec<DVec3> =
         points.iter().step_by(every).map(|point| Vec3::from(point.position).as_dvec3()).collect();
-    let depths: Vec<Vec<f64>> = views.par_iter().map(|view| depths_in_photo(&view.camera, &positions)).collect();
+    let depths: Vec<Vec<f64>> =
+        views.par_iter().map(|view| depths_in_photo(&view.camera, &positions)).collect();
     let near = views.first().map_or(NEAR_DEPTH, |view| view.camera.near);
     let is_visible = |depth: &&f64| **depth > near;
     let all: Vec<f64> = depths.iter().flatten().copied().collect();
@@ -110,8 +114,10 @@ pub(super) mod tests {
     }
 
     fn found(views: &[View], scale: f32) -> Vec<String> {
-        let point =
-            |at: u16| Point { position: [f32::from(at % 5), f32::from(at / 5), 20.0].map(|x| x * scale), rgb: [0; 3] };
+        let point = |at: u16| Point {
+            position: [f32::from(at % 5), f32::from(at / 5), 20.0].map(|x| x * scale),
+            rgb: [0; 3],
+        };
         let points: Vec<Point> = (0..25).map(point).collect();
         let views: Vec<&View> = views.iter().collect();
         warnings(&views, &points_seen(&views, &points))

@@ -13,8 +13,9 @@ use genesplat::train::{Schedule, expected_gaussians, virtual_picture_bytes};
 
 /// Steps that are timed; the first ones fill caches.
 const STEPS: u32 = 6;
-/// Bytes a Gaussian takes in training with evolution: parameters, moments, statistics, intersections, the mean of states.
-/// Peaks of `train SCENE --max-side 480 --iterations 7000`, photos taken off: fox 587 MB (226,487), plush 593 MB (202,254).
+/// Bytes a Gaussian takes in training with evolution: parameters, moments, statistics, intersections, the
+/// mean of states. Peaks of `train SCENE --max-side 480 --iterations 7000`, photos taken off: fox 587 MB
+/// (226,487), plush 593 MB (202,254).
 const GAUSSIAN_BYTES: u64 = 2_600;
 /// Bytes of a pixel of a photo, as long as photos stay in memory.
 const PIXEL_BYTES: u64 = 3;
@@ -33,8 +34,8 @@ pub(super) struct Cost {
 pub(super) fn estimate(scene: &Scene, schedule: &Schedule) -> Result<Cost> {
     let gaussians = expected_gaussians(schedule.config(), &scene.train).max(scene.points.len());
     let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
-    let photo_bytes =
-        (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY) + virtual_picture_bytes(schedule, &scene.train) as u64;
+    let photo_bytes = (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY)
+        + virtual_picture_bytes(schedule, &scene.train) as u64;
     let last_step_seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,

@@ -74,7 +74,10 @@ mod tests {
         report.warnings.push("a.jpg is blurred".into());
         assert!(report.to_text().ends_with("\nlook at: a.jpg is blurred"));
         let json = serde_json::to_value(&report).unwrap();
-        assert_eq!((&json["facts"][1]["value"], &json["warnings"][0]), (&2.into(), &"a.jpg is blurred".into()));
+        assert_eq!(
+            (&json["facts"][1]["value"], &json["warnings"][0]),
+            (&2.into(), &"a.jpg is blurred".into())
+        );
     }
 
     #[test]

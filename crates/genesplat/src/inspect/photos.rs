@@ -9,14 +9,16 @@ use crate::sharpness::laplacian_variance;
 
 /// A photo is blurred where its edges have less than this fraction of the usual energy.
 const BLURRED: f64 = 0.15;
-/// A photo is overexposed where more than this fraction of its pixels is white, and the usual photo has less than half.
+/// A photo is overexposed where more than this fraction of its pixels is white, and the usual photo has less
+/// than half.
 const OVEREXPOSED: f64 = 0.25;
 /// A pixel is white from this value on, in all channels.
 const WHITE: u8 = 254;
 /// Photos are compared by the mean colours of so many parts across and down.
 const CELLS: usize = 16;
-/// Two photos are one, saved twice, where their parts differ by less than this, root mean square, in 8-bit values.
-/// JPEG's qualities from 95 to 25 move them by 0.1 to 1.4, another size by 1.5; neighbours of fox, fern and plush are 6 apart.
+/// Two photos are one, saved twice, where their parts differ by less than this, root mean square, in 8-bit
+/// values. JPEG's qualities from 95 to 25 move them by 0.1 to 1.4, another size by 1.5; neighbours of fox,
+/// fern and plush are 6 apart.
 const ALIKE: f64 = 2.0;
 /// Fewer photos have no usual one.
 const PHOTOS_MIN: usize = 5;
@@ -37,7 +39,10 @@ pub(super) fn warnings(views: &[&View]) -> Result<Vec<String>, PhotoLost> {
     if views.len() < PHOTOS_MIN {
         return Ok([on_white, twins].into_iter().flatten().collect());
     }
-    Ok([blurred(views, &measures), overexposed(views, &measures), on_white, twins].into_iter().flatten().collect())
+    Ok([blurred(views, &measures), overexposed(views, &measures), on_white, twins]
+        .into_iter()
+        .flatten()
+        .collect())
 }
 
 fn blurred(views: &[&View], measures: &[Measures]) -> Option<String> {
@@ -68,8 +73,7 @@ fn overexposed(views: &[&View], measures: &[Measures]) -> Option<String> {
 
 /// Training says so, too.
 fn on_white(views: &[&View]) -> Result<Option<String>, PhotoLost> {
-    let sentence =
-        "the photos show their subject on white: train with --background white, which leaves that to the background";
+    let sentence = "the photos show their subject on white: train with --background white, which leaves that to the background";
     Ok(are_on_white(views)?.then(|| sentence.into()))
 }
 
@@ -82,10 +86,12 @@ fn duplicates(views: &[&View]) -> Result<Option<String>, PhotoLost> {
         squares < ALIKE * ALIKE * a.len() as f64
     };
     let twin = |at: usize| (0..at).find(|&before| is_like(&small[before], &small[at]));
-    let pairs: Vec<String> =
-        (0..views.len()).filter_map(|at| Some(format!("{} and {}", views[twin(at)?].name, views[at].name))).collect();
+    let pairs: Vec<String> = (0..views.len())
+        .filter_map(|at| Some(format!("{} and {}", views[twin(at)?].name, views[at].name)))
+        .collect();
     let shown: Vec<&str> = pairs.iter().map(String::as_str).collect();
-    let sentence = || format!("photos are there twice ({}): one of each pair counts double; remove it", listed(&shown));
+    let sentence =
+        || format!("photos are there twice ({}): one of each pair counts double; remove it", listed(&shown));
     Ok((!shown.is_empty()).then(sentence))
 }
 
@@ -103,7 +109,12 @@ fn cells(photo: &Photo) -> Vec<f64> {
 }
 
 fn those<'a>(views: &[&'a View], measures: &[Measures], is_bad: impl Fn(&Measures) -> bool) -> Vec<&'a str> {
-    views.iter().zip(measures).filter(|(_, photo)| is_bad(photo)).map(|(view, _)| view.name.as_str()).collect()
+    views
+        .iter()
+        .zip(measures)
+        .filter(|(_, photo)| is_bad(photo))
+        .map(|(view, _)| view.name.as_str())
+        .collect()
 }
 
 fn measure(photo: &Photo) -> Measures {
@@ -128,7 +139,8 @@ mod tests {
 
     #[test]
     fn the_odd_ones_out_are_named() {
-        let mut views: Vec<View> = (0..6).map(|seed| view(&format!("{seed}.jpg"), noise(seed, 100))).collect();
+        let mut views: Vec<View> =
+            (0..6).map(|seed| view(&format!("{seed}.jpg"), noise(seed, 100))).collect();
         let found = |views: &[View]| warnings(&views.iter().collect::<Vec<_>>()).unwrap();
         assert_eq!(found(&views), [] as [String; 0]);
         views[1].photo = noise(1, 3).into();
@@ -137,7 +149,10 @@ mod tests {
         let found = found(&views);
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("softer edges") && found[0].contains("(1.jpg, 3.jpg)"), "{found:?}");
-        assert!(found[1].contains("mostly white (3.jpg)") && found[2].contains("0.jpg and 5.jpg"), "{found:?}");
+        assert!(
+            found[1].contains("mostly white (3.jpg)") && found[2].contains("0.jpg and 5.jpg"),
+            "{found:?}"
+        );
         views.iter_mut().for_each(|view| view.photo = Photo { rgb: vec![255; 1200], ..noise(0, 100) }.into());
         let found = warnings(&views[..2].iter().collect::<Vec<_>>()).unwrap();
         assert!(found[0].contains("--background white") && found.len() == 2, "{found:?}");
@@ -149,10 +164,13 @@ mod tests {
         let plain: Vec<u8> = (0..14_400).map(|at| (at / 80 % 256) as u8).collect();
         let brighter = |rows: std::ops::Range<usize>, by: u8| {
             let mut rgb = plain.clone();
-            rgb[240 * rows.start..240 * rows.end].iter_mut().for_each(|value| *value = value.saturating_add(by));
+            rgb[240 * rows.start..240 * rows.end]
+                .iter_mut()
+                .for_each(|value| *value = value.saturating_add(by));
             photo(rgb)
         };
-        let twice = |other| duplicates(&[&view("a.jpg", photo(plain.clone())), &view("b.jpg", other)]).unwrap();
+        let twice =
+            |other| duplicates(&[&view("a.jpg", photo(plain.clone())), &view("b.jpg", other)]).unwrap();
         assert!(twice(brighter(0..60, 1)).unwrap().contains("a.jpg and b.jpg"));
         // A coarse JPEG is off by more than that here and there.
         assert!(twice(brighter(0..4, 4)).is_some());

@@ -24,10 +24,12 @@ pub(crate) fn inspect_scene(dataset: &Dataset, config: &TrainConfig) -> Result<R
     let list = list_scene(&dataset.path, &dataset.options())?;
     let mut facts = found(&scene, &views, &seen)?;
     facts.extend(lenses(&list.photos));
-    let no_extent = scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
+    let no_extent =
+        scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
     let notices = scene.notices.clone();
     let warnings =
-        [Vec::from_iter(no_extent), notices, cameras::warnings(&views, &seen), photos::warnings(&views)?].concat();
+        [Vec::from_iter(no_extent), notices, cameras::warnings(&views, &seen), photos::warnings(&views)?]
+            .concat();
     facts.extend(expected(&estimate(&scene, &settings)?, settings.iterations));
     facts.push(timeline(&settings, scene.train.len()));
     Ok(Report { kind: "scene", facts, warnings })
@@ -39,7 +41,11 @@ fn found(scene: &Scene, views: &[&View], points_seen: &PointsSeen) -> Result<Vec
     counts.sort_unstable();
     let mut facts = vec![
         Fact::new("photos", views.len(), thousands(views.len())),
-        Fact::new("test photos", scene.test.len(), format!("{} of them, which training never sees", scene.test.len())),
+        Fact::new(
+            "test photos",
+            scene.test.len(),
+            format!("{} of them, which training never sees", scene.test.len()),
+        ),
         sizes(views),
         field_of_view(views),
         Fact::new("points", scene.points.len(), thousands(scene.points.len())),
@@ -55,7 +61,11 @@ fn found(scene: &Scene, views: &[&View], points_seen: &PointsSeen) -> Result<Vec
     }));
     let masked = views.iter().filter(|view| view.mask.is_some()).count();
     if masked > 0 {
-        facts.push(Fact::new("masked photos", masked, format!("{masked}: what their masks hide counts for nothing")));
+        facts.push(Fact::new(
+            "masked photos",
+            masked,
+            format!("{masked}: what their masks hide counts for nothing"),
+        ));
     }
     if let Some(depth) = points_seen.depth {
         facts.push(Fact::new(
@@ -68,7 +78,8 @@ fn found(scene: &Scene, views: &[&View], points_seen: &PointsSeen) -> Result<Vec
 }
 
 fn sizes(views: &[&View]) -> Fact {
-    let mut sizes: Vec<[u32; 2]> = views.iter().map(|view| [view.photo.width(), view.photo.height()]).collect();
+    let mut sizes: Vec<[u32; 2]> =
+        views.iter().map(|view| [view.photo.width(), view.photo.height()]).collect();
     sizes.sort_unstable();
     sizes.dedup();
     let [width, height] = sizes[0];
@@ -79,9 +90,13 @@ fn sizes(views: &[&View]) -> Fact {
 fn field_of_view(views: &[&View]) -> Fact {
     let degrees = |view: &&View| 2.0 * view.camera.tan_half_fov()[0].atan().to_degrees();
     let angles: Vec<f64> = views.iter().map(degrees).collect();
-    let (least, most) = angles.iter().fold((f64::INFINITY, 0.0f64), |(a, b), &angle| (a.min(angle), b.max(angle)));
-    let shown =
-        if most - least < 0.5 { format!("{least:.0} degrees") } else { format!("{least:.0} to {most:.0} degrees") };
+    let (least, most) =
+        angles.iter().fold((f64::INFINITY, 0.0f64), |(a, b), &angle| (a.min(angle), b.max(angle)));
+    let shown = if most - least < 0.5 {
+        format!("{least:.0} degrees")
+    } else {
+        format!("{least:.0} to {most:.0} degrees")
+    };
     Fact::new("field of view", least, format!("{shown} across"))
 }
 
@@ -97,7 +112,9 @@ fn lenses(photos: &[ScenePhoto]) -> [Fact; 2] {
     let bend_px = photos.iter().try_fold(0.0f64, |most, photo| photo.bend_px().map(|bend| most.max(bend)));
     let shown = match bend_px {
         Some(0.0) => "pinhole: the photos are straight".into(),
-        Some(bend) => format!("moves the corners of a photo by up to {bend:.0} of its pixels, which is undone"),
+        Some(bend) => {
+            format!("moves the corners of a photo by up to {bend:.0} of its pixels, which is undone")
+        }
         None => "so wide that straight photos show less than it did".into(),
     };
     let different = plural(cameras.len(), "for all photos", "that differ in size, focal length or lens");

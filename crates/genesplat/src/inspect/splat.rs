@@ -38,7 +38,9 @@ pub(crate) fn inspect_run(folder: &Path) -> Result<Report> {
         None => warnings.push("the run has no figures yet: it was stopped, or is still training".into()),
     }
     if has_checkpoint(folder) {
-        warnings.push("the run was stopped before its end; the same command with --resume goes on with it".into());
+        warnings.push(
+            "the run was stopped before its end; the same command with --resume goes on with it".into(),
+        );
     }
     Ok(Report { kind: "run", facts, warnings })
 }
@@ -79,7 +81,11 @@ fn look(cloud: &Gaussians, settings: RenderSettings, path: &Path) -> (Vec<Fact>,
     let facts = vec![
         Fact::new("Gaussians", rows, thousands(rows)),
         Fact::new("file", bytes, in_words(bytes)),
-        Fact::new("colour", settings.sh_degree, format!("spherical harmonics up to degree {}", settings.sh_degree)),
+        Fact::new(
+            "colour",
+            settings.sh_degree,
+            format!("spherical harmonics up to degree {}", settings.sh_degree),
+        ),
         Fact::new("screen filter", filter, filter),
         Fact::new("middle", centre.to_vec(), format!("{:.3} {:.3} {:.3}", centre[0], centre[1], centre[2])),
         Fact::new("radius", radius, format!("{radius:.3} world units around it hold half of the Gaussians")),
@@ -92,7 +98,10 @@ fn look(cloud: &Gaussians, settings: RenderSettings, path: &Path) -> (Vec<Fact>,
         )
     });
     let huge = (part(huge) > MANY_HUGE).then(|| {
-        format!("{} Gaussians are longer than the scene is wide: seen from elsewhere they are fog", thousands(huge))
+        format!(
+            "{} Gaussians are longer than the scene is wide: seen from elsewhere they are fog",
+            thousands(huge)
+        )
     });
     (facts, [invisible, huge].into_iter().flatten().collect())
 }
@@ -101,7 +110,8 @@ fn look(cloud: &Gaussians, settings: RenderSettings, path: &Path) -> (Vec<Fact>,
 fn reach(cloud: &Gaussians) -> ([f64; 3], f64) {
     let middle = |axis: usize| median(cloud.positions.iter().map(|p| f64::from(p[axis]))).unwrap_or(0.0);
     let centre = [0, 1, 2].map(middle);
-    let distance = |p: &[f32; 3]| (0..3).map(|axis| (f64::from(p[axis]) - centre[axis]).powi(2)).sum::<f64>().sqrt();
+    let distance =
+        |p: &[f32; 3]| (0..3).map(|axis| (f64::from(p[axis]) - centre[axis]).powi(2)).sum::<f64>().sqrt();
     (centre, median(cloud.positions.iter().map(distance)).unwrap_or(0.0))
 }
 
@@ -124,7 +134,10 @@ mod tests {
         let warnings = |cloud: &Gaussians| look(cloud, RenderSettings::default(), Path::new("absent")).1;
         assert_eq!(warnings(&cloud(2.0, -5.0)), [] as [String; 0]);
         let faint = warnings(&cloud(-9.0, -5.0));
-        assert!(faint.len() == 1 && faint[0].starts_with("100 % of the Gaussians are too faint"), "{faint:?}");
+        assert!(
+            faint.len() == 1 && faint[0].starts_with("100 % of the Gaussians are too faint"),
+            "{faint:?}"
+        );
         let huge = warnings(&cloud(2.0, 1.0));
         assert!(huge.len() == 1 && huge[0].starts_with("100 Gaussians are longer"), "{huge:?}");
     }

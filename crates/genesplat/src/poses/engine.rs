@@ -16,12 +16,13 @@ use crate::programs::Programs;
 /// Names the Python to use.
 const PYTHON: &str = "GENESPLAT_PYTHON";
 const DRIVER: &str = include_str!("driver.py");
-/// Features are looked for at this size, px: larger photos are reduced, which costs hardly a camera and saves minutes.
+/// Features are looked for at this size, px: larger photos are reduced, which costs hardly a camera and saves
+/// minutes.
 const MAX_SIDE: u32 = 1600;
 /// Most features of a photo.
 const MAX_FEATURES: u32 = 8192;
-/// Square pixels and one coefficient of distortion. With a focal length for each direction (`OPENCV`), which photos of an object
-/// on a turntable do not tell, a shoe was found at a quarter of its height.
+/// Square pixels and one coefficient of distortion. With a focal length for each direction (`OPENCV`), which
+/// photos of an object on a turntable do not tell, a shoe was found at a quarter of its height.
 const CAMERA_MODEL: &str = "SIMPLE_RADIAL";
 
 pub(crate) struct Engine {
@@ -96,8 +97,10 @@ impl Engine {
             let mut command = self.programs.command(program);
             command.arg("model_analyzer").arg("--path").arg(model.path());
             process::run(&mut command, log, stop, |line| {
-                let error =
-                    line.split("Mean reprojection error:").nth(1).map(|rest| rest.trim().trim_end_matches("px"));
+                let error = line
+                    .split("Mean reprojection error:")
+                    .nth(1)
+                    .map(|rest| rest.trim().trim_end_matches("px"));
                 if let Some(error) = error.and_then(|error| error.parse().ok()) {
                     errors_px.insert(model.file_name().to_string_lossy().into_owned(), error);
                 }
@@ -116,13 +119,17 @@ impl Engine {
 }
 
 impl Tool {
-    /// The Python of `GENESPLAT_PYTHON`, else one on `PATH` that has pycolmap, else the program `colmap` there.
+    /// The Python of `GENESPLAT_PYTHON`, else one on `PATH` that has pycolmap, else the program `colmap`
+    /// there.
     fn find(programs: &Programs) -> Result<Self> {
         let install = "install it (`pip install pycolmap`, 40 MB, works offline)";
         if let Some(named) = std::env::var_os(PYTHON) {
             let found = programs.named(&named).and_then(|python| Self::pycolmap(python, programs));
             return found.ok_or_else(|| {
-                anyhow!("{PYTHON} names {}, which has no pycolmap; {install}, or name another Python", shown(named))
+                anyhow!(
+                    "{PYTHON} names {}, which has no pycolmap; {install}, or name another Python",
+                    shown(named)
+                )
             });
         }
         let pythons = ["python3", "python"].into_iter().filter_map(|name| programs.find(&[name]));
@@ -130,8 +137,12 @@ impl Tool {
             return Ok(found);
         }
         if let Some(program) = programs.find(&["colmap"]) {
-            let help = output_of(programs.command(&program).args(["feature_extractor", "-h"])).unwrap_or_default();
-            return Ok(Self::Colmap { program, has_feature_options: help.contains("--FeatureExtraction.use_gpu") });
+            let help =
+                output_of(programs.command(&program).args(["feature_extractor", "-h"])).unwrap_or_default();
+            return Ok(Self::Colmap {
+                program,
+                has_feature_options: help.contains("--FeatureExtraction.use_gpu"),
+            });
         }
         bail!(
             "cameras are found by pycolmap, and no Python on PATH has it; {install}, or put the program colmap on PATH; {PYTHON} names \
@@ -185,9 +196,9 @@ fn request(stage: Stage, job: &Job) -> Value {
     })
 }
 
-/// COLMAP gives up the photos of a camera whose distortion is larger. The usual limit, 1, suits a focal length of one photo's
-/// width; at ten of them, its longest, a coefficient of 100 bends as much. Photos that one camera took correct what a few of
-/// them have made up.
+/// COLMAP gives up the photos of a camera whose distortion is larger. The usual limit, 1, suits a focal
+/// length of one photo's width; at ten of them, its longest, a coefficient of 100 bends as much. Photos that
+/// one camera took correct what a few of them have made up.
 fn max_distortion(job: &Job) -> f64 {
     if job.single_camera { 100.0 } else { 1.0 }
 }
@@ -280,7 +291,10 @@ mod tests {
             "{features}"
         );
         assert!(features.contains("--ImageReader.mask_path masks"), "{features}");
-        assert!(features.contains("--SiftExtraction.use_gpu 0") && features.contains("single_camera 1"), "{features}");
+        assert!(
+            features.contains("--SiftExtraction.use_gpu 0") && features.contains("single_camera 1"),
+            "{features}"
+        );
         assert!(of(Stage::Features, true).contains("--FeatureExtraction.max_image_size 1600"));
         assert!(of(Stage::Matches, true).starts_with("sequential_matcher --database_path database.db"));
         assert!(of(Stage::Matches, true).ends_with("--SequentialMatching.overlap 10"));
@@ -298,6 +312,9 @@ mod tests {
         let pycolmap = Engine::of_python("python3");
         assert_eq!(pycolmap.progress(Stage::Matches, r#"{"done": 4, "total": 36}"#), Some(4));
         assert_eq!(pycolmap.progress(Stage::Matches, "I2026 matching.cc"), None);
-        assert_eq!(pycolmap.reprojection_errors(r#"{"errors_px": {"0": 0.5}}"#), [("0".to_owned(), 0.5)].into());
+        assert_eq!(
+            pycolmap.reprojection_errors(r#"{"errors_px": {"0": 0.5}}"#),
+            [("0".to_owned(), 0.5)].into()
+        );
     }
 }

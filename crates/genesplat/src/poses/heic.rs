@@ -1,4 +1,5 @@
-//! HEIC photos, as iPhones take them: the Python that runs pycolmap writes them as JPEG, if it has pillow-heif.
+//! HEIC photos, as iPhones take them: the Python that runs pycolmap writes them as JPEG, if it has
+//! pillow-heif.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -19,7 +20,12 @@ const LIST: &str = "heic.json";
 const SCRIPT: &str = include_str!("heic.py");
 
 /// Writes each first file as the second, a JPEG; false where `stop` has ended it.
-pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path, stop: &AtomicBool) -> Result<bool> {
+pub(super) fn convert(
+    pairs: &[(PathBuf, PathBuf)],
+    engine: &Engine,
+    work: &Path,
+    stop: &AtomicBool,
+) -> Result<bool> {
     let Some((first, _)) = pairs.first() else { return Ok(true) };
     let Some(mut command) = converter(engine) else {
         bail!(

@@ -1,7 +1,8 @@
 //! Cameras of photos without any: structure from motion by COLMAP, which runs as a process of its own.
 //!
-//! In `OUT`, `images/` and `sparse/0/` are an ordinary COLMAP scene. What the stages leave is in `OUT/poses/`: a stage that
-//! is marked as done there is not done again, so a search that was stopped goes on where it was.
+//! In `OUT`, `images/` and `sparse/0/` are an ordinary COLMAP scene. What the stages leave is in
+//! `OUT/poses/`: a stage that is marked as done there is not done again, so a search that was stopped goes on
+//! where it was.
 
 mod engine;
 mod heic;
@@ -51,7 +52,8 @@ pub(crate) struct Request<'a> {
     pub(crate) threads: Option<u16>,
 }
 
-/// The cameras of the photos, found now or earlier; `None` where `stop` has ended the search, which can go on.
+/// The cameras of the photos, found now or earlier; `None` where `stop` has ended the search, which can go
+/// on.
 pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
     let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     let source = Source::open(request.photos, request.frames)?;
@@ -62,8 +64,8 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
         .into_iter()
         .for_each(|f| remove_leftovers_below(f));
     // Whatever is there already is the user's, and stays.
-    let is_new =
-        !photos::is_begun(&work) && [IMAGES, masks::FOLDER].iter().all(|name| !request.out.join(name).exists());
+    let is_new = !photos::is_begun(&work)
+        && [IMAGES, masks::FOLDER].iter().all(|name| !request.out.join(name).exists());
     source.check_same(&work)?;
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));

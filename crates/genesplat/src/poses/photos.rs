@@ -95,7 +95,11 @@ impl Source {
         let same = serde_json::from_slice::<Record>(&bytes).is_ok_and(|there| there == record);
         // Photos that lie in the scene are the user's own, and all else there can be removed.
         let anew = match self.is_in(&work.with_file_name(IMAGES)) {
-            true => format!(", or remove {} and {} to start anew", shown(work), shown(work.with_file_name("sparse"))),
+            true => format!(
+                ", or remove {} and {} to start anew",
+                shown(work),
+                shown(work.with_file_name("sparse"))
+            ),
             false => String::new(),
         };
         ensure!(
@@ -115,7 +119,8 @@ impl Source {
 
     fn record(&self) -> Result<Record> {
         let size = |name: &str, path: &Path| {
-            let there = fs::metadata(path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
+            let there =
+                fs::metadata(path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
             Ok((name.to_owned(), there.len()))
         };
         match self {
@@ -142,7 +147,9 @@ impl Source {
     pub(crate) fn make_folders_of_heic(&self, out: &Path) -> Result<()> {
         let Self::Folder(Photos { heic, .. }) = self else { return Ok(()) };
         let folders: BTreeSet<&Path> = heic.iter().filter_map(|name| Path::new(name).parent()).collect();
-        folders.into_iter().try_for_each(|folder| make_own_folder(out, Path::new(IMAGES).join(folder)).map(drop))
+        folders
+            .into_iter()
+            .try_for_each(|folder| make_own_folder(out, Path::new(IMAGES).join(folder)).map(drop))
     }
 
     /// Puts the photos into `images`, and their masks beside it; false where `stop` has ended it.
@@ -169,7 +176,8 @@ pub(crate) fn is_begun(work: &Path) -> bool {
     work.join(RECORD).is_file()
 }
 
-/// Removes what [`Source::check_same`] and [`Source::fill`] have put into a new scene, whose photos are to be corrected first.
+/// Removes what [`Source::check_same`] and [`Source::fill`] have put into a new scene, whose photos are to be
+/// corrected first.
 pub(crate) fn forget(scene: &Path, work: &Path) {
     // Of what stays, the next search tells.
     for folder in [scene.join(IMAGES), scene.join(masks::FOLDER), work.join(UNPACKED)] {
@@ -188,7 +196,9 @@ fn photos_of(path: &Path) -> Result<Photos> {
     let converted: BTreeSet<String> = sources.map(|name| name_in_scene(name)).collect();
     photos.retain(|name| !converted.contains(name));
     match (photos.is_empty() && heic.is_empty(), others.first()) {
-        (true, None) => bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video"),
+        (true, None) => {
+            bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video")
+        }
         (true, Some(first)) => bail!(
             "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); {CONVERT}",
             others.len()
@@ -229,8 +239,9 @@ impl Photos {
 
     /// What is in the scene already is the user's, and stays as it is.
     fn tell_of_lying(&self, images: &Path) {
-        let is_in_place =
-            images.canonicalize().is_ok_and(|images| self.path.canonicalize().is_ok_and(|path| path == images));
+        let is_in_place = images
+            .canonicalize()
+            .is_ok_and(|images| self.path.canonicalize().is_ok_and(|path| path == images));
         let is_lying = |name: &&String| turn_of(&self.path.join(name)).is_some();
         let lying = if is_in_place { self.names.par_iter().filter(is_lying).count() } else { 0 };
         if lying > 0 {
@@ -289,7 +300,8 @@ struct Found {
     masks: Vec<PathBuf>,
 }
 
-/// Looks into all folders but those of masks and hidden ones: once into each, and by its own name rather than by a link's.
+/// Looks into all folders but those of masks and hidden ones: once into each, and by its own name rather than
+/// by a link's.
 fn list(folder: &Path) -> Result<Found> {
     let (mut found, mut visited) = (Found::default(), Visited::default());
     let (mut folders, mut links) = (vec![PathBuf::new()], BinaryHeap::new());
@@ -307,7 +319,9 @@ fn list(folder: &Path) -> Result<Found> {
                 true if name.starts_with("mask") => found.masks.push(entry.path()),
                 true if entry.path().is_symlink() => links.push(Reverse(relative)),
                 true => folders.push(relative),
-                false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(name_of(&relative, &entry.path())?),
+                false if has_ending(&name, &PHOTO_ENDINGS) => {
+                    found.photos.push(name_of(&relative, &entry.path())?)
+                }
                 false if has_ending(&name, &UNREAD) => found.others.push(name_of(&relative, &entry.path())?),
                 false => {}
             }
@@ -322,7 +336,10 @@ fn list(folder: &Path) -> Result<Found> {
 /// The name of the photo `file`, by which COLMAP knows it.
 fn name_of(relative: &Path, file: &Path) -> Result<String> {
     names::of_path(relative).map_err(|problem| {
-        anyhow!("the name of the photo {} {problem}, so cameras cannot be found for it; rename it", shown(file))
+        anyhow!(
+            "the name of the photo {} {problem}, so cameras cannot be found for it; rename it",
+            shown(file)
+        )
     })
 }
 

@@ -29,17 +29,25 @@ impl Error for Crashed {}
 
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is kept in `log`, a
-/// file of ours: the program's name before each line, and what a terminal obeys as escapes, since names of photos are in it.
-/// False where `stop` has ended it.
-pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_line: impl FnMut(&str)) -> Result<bool> {
+/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is
+/// kept in `log`, a file of ours: the program's name before each line, and what a terminal obeys as escapes,
+/// since names of photos are in it. False where `stop` has ended it.
+pub(crate) fn run(
+    command: &mut Command,
+    log: &Path,
+    stop: &AtomicBool,
+    mut on_line: impl FnMut(&str),
+) -> Result<bool> {
     let program = PathBuf::from(command.get_program());
     let mut file = open_log(log).map_err(|error| unwritable(log, &error))?;
     let name = shown(program.file_name().unwrap_or_default());
     let mut child = start(command).map_err(|error| anyhow!("cannot start {}: {error}", shown(&program)))?;
     let (lines, listeners) = listen_to(&mut child).map_err(|error| {
         end(&mut child);
-        anyhow!("cannot start a thread that listens to {}: {error}; raise the limits of this process", shown(&program))
+        anyhow!(
+            "cannot start a thread that listens to {}: {error}; raise the limits of this process",
+            shown(&program)
+        )
     })?;
     let (mut last, mut error) = (String::new(), None);
     loop {
@@ -67,7 +75,10 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     if !status.success() && !stop.load(Ordering::Relaxed) {
         let sentence = match shown(error.unwrap_or(last).trim()).as_str() {
             "" => {
-                format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program))
+                format!(
+                    "{} has failed ({status}) and said nothing; the same command tries it again",
+                    shown(&program)
+                )
             }
             last if last.contains("database is locked") => format!(
                 "{} has failed, because one of an earlier search still runs ({last}); wait for it, or end it, and give the same \
@@ -89,7 +100,8 @@ fn open_log(log: &Path) -> io::Result<File> {
 
 /// Whether a line tells of an error in glog's way (`E20261127 ..`, `F1127 ..`), or in words.
 fn is_error(line: &str) -> bool {
-    let is_of_glog = line.strip_prefix(['E', 'F']).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    let is_of_glog =
+        line.strip_prefix(['E', 'F']).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
     is_of_glog || ["error", "database is locked"].iter().any(|word| line.to_lowercase().contains(word))
 }
 
@@ -149,18 +161,28 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let (log, never) = (place.path().join("log"), AtomicBool::new(false));
         let mut lines = Vec::new();
-        assert!(run(&mut shell("echo one; echo two >&2"), &log, &never, |line| lines.push(line.to_owned())).unwrap());
+        assert!(
+            run(&mut shell("echo one; echo two >&2"), &log, &never, |line| lines.push(line.to_owned()))
+                .unwrap()
+        );
         lines.sort();
         assert_eq!(lines, ["one", "two"]);
-        let refused = run(&mut shell("echo no memory >&2; exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
+        let refused =
+            run(&mut shell("echo no memory >&2; exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
         assert!(refused.contains("no memory") && refused.contains("log"), "{refused}");
         let silent = run(&mut shell("exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
-        assert_eq!(silent, "sh has failed (exit status: 3) and said nothing; the same command tries it again");
+        assert_eq!(
+            silent,
+            "sh has failed (exit status: 3) and said nothing; the same command tries it again"
+        );
         let crashed = run(&mut shell("echo a fault >&2; kill -SEGV $$"), &log, &never, |_| {}).unwrap_err();
         assert!(crashed.is::<Crashed>() && crashed.to_string().contains("a fault"), "{crashed}");
         let told = "echo E20261127 no such camera; echo 'SQLite error: database is locked'; echo 'Matching block [1/1]'; exit 1";
         let locked = run(&mut shell(told), &log.with_extension("2"), &never, |_| {}).unwrap_err().to_string();
-        assert!(locked.contains("an earlier search still runs (SQLite error: database is locked)"), "{locked}");
+        assert!(
+            locked.contains("an earlier search still runs (SQLite error: database is locked)"),
+            "{locked}"
+        );
         let kept = genesplat::io::input::read_text(&log).unwrap();
         assert_eq!(kept.lines().count(), 4);
         assert!(run(&mut shell(r"printf 'a\033[2J\rb\n'"), &log, &never, |_| {}).unwrap());
@@ -174,7 +196,8 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let (stop, began) = (AtomicBool::new(false), Instant::now());
         let mut sleeper = shell("echo begun; exec sleep 600");
-        let ended = run(&mut sleeper, &place.path().join("log"), &stop, |_| stop.store(true, Ordering::Relaxed));
+        let ended =
+            run(&mut sleeper, &place.path().join("log"), &stop, |_| stop.store(true, Ordering::Relaxed));
         assert!(!ended.unwrap() && began.elapsed() < Duration::from_secs(500));
     }
 }

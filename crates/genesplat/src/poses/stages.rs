@@ -14,7 +14,8 @@ use rayon::prelude::*;
 use super::engine::Engine;
 use super::process::{self, Crashed};
 
-/// Most photos of which each is matched with each other one; beyond, and for frames of a video, neighbours are.
+/// Most photos of which each is matched with each other one; beyond, and for frames of a video, neighbours
+/// are.
 const EXHAUSTIVE_MAX: usize = 150;
 /// Neighbours that a photo of a sequence is matched with; beside them, those at distances of powers of two.
 const NEIGHBOURS: usize = 10;
@@ -97,13 +98,20 @@ impl Job {
 /// Lenses of a phone write photos of one size. Who says nothing of a lens may have used the others'.
 fn is_one_camera(images: &Path, names: &[String]) -> Result<bool> {
     let photos = names.par_iter().map(|name| images.join(name));
-    let said = photos.map(|photo| Ok((photo_size(&photo)?, lens_tags(&photo)))).collect::<Result<Vec<_>>>()?;
+    let said =
+        photos.map(|photo| Ok((photo_size(&photo)?, lens_tags(&photo)))).collect::<Result<Vec<_>>>()?;
     let (sizes, lenses): (HashSet<_>, HashSet<_>) = said.into_iter().unzip();
     Ok(sizes.len() <= 1 && lenses.iter().flatten().count() <= 1)
 }
 
-/// Mean reprojection errors of the models that were found, px, by name; `None` where `stop` has ended a stage.
-pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) -> Result<Option<BTreeMap<String, f64>>> {
+/// Mean reprojection errors of the models that were found, px, by name; `None` where `stop` has ended a
+/// stage.
+pub(crate) fn run(
+    engine: &Engine,
+    job: &Job,
+    work: &Path,
+    stop: &AtomicBool,
+) -> Result<Option<BTreeMap<String, f64>>> {
     let log = work.join("engine.log");
     let mut errors_px = BTreeMap::new();
     for stage in Stage::ALL {

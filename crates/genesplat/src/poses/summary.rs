@@ -32,8 +32,13 @@ pub(crate) struct Summary {
 
 impl Summary {
     /// Of the model with the most photos in the folder `models`; `names` are all photos.
-    pub(crate) fn of_largest(models: &Path, names: &[String], errors_px: &BTreeMap<String, f64>) -> Result<Self> {
-        let entries = fs::read_dir(models).map_err(|error| anyhow!("cannot read {}: {error}", shown(models)))?;
+    pub(crate) fn of_largest(
+        models: &Path,
+        names: &[String],
+        errors_px: &BTreeMap<String, f64>,
+    ) -> Result<Self> {
+        let entries =
+            fs::read_dir(models).map_err(|error| anyhow!("cannot read {}: {error}", shown(models)))?;
         let mut found = Vec::new();
         for entry in entries.flatten() {
             if let Some(folder) = find_model(&entry.path()) {
@@ -41,7 +46,8 @@ impl Summary {
             }
         }
         // Of equal ones, the first.
-        found.sort_by(|(a_name, a), (b_name, b)| b.images.len().cmp(&a.images.len()).then(a_name.cmp(b_name)));
+        found
+            .sort_by(|(a_name, a), (b_name, b)| b.images.len().cmp(&a.images.len()).then(a_name.cmp(b_name)));
         let other_models = found.len().saturating_sub(1);
         let Some((name, model)) = found.into_iter().next() else {
             bail!(
@@ -127,10 +133,14 @@ mod tests {
         assert_eq!((summary.model.as_str(), summary.registered, summary.other_models), ("1", 7, 1));
         assert_eq!(summary.left_out, names[7..]);
         let said = summary.sentences().join("\n");
-        assert!(said.contains("7 of 9 photos") && said.contains("0.57 pixels") && said.contains(&names[8]), "{said}");
+        assert!(
+            said.contains("7 of 9 photos") && said.contains("0.57 pixels") && said.contains(&names[8]),
+            "{said}"
+        );
         summary.write(place.path()).unwrap();
         assert_eq!(Summary::read(place.path()).unwrap(), Some(summary));
-        let none = Summary::of_largest(&scene.join("images"), &names, &BTreeMap::new()).unwrap_err().to_string();
+        let none =
+            Summary::of_largest(&scene.join("images"), &names, &BTreeMap::new()).unwrap_err().to_string();
         assert!(none.contains("no cameras were found for these 9 photos"), "{none}");
     }
 }

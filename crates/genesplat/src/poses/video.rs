@@ -1,4 +1,5 @@
-//! Photos from a video: `ffmpeg` takes several frames for each that is wanted, and the sharpest of each interval stays.
+//! Photos from a video: `ffmpeg` takes several frames for each that is wanted, and the sharpest of each
+//! interval stays.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,7 +25,8 @@ const CANDIDATES: u32 = 3;
 /// JPEG quality of ffmpeg, 2 to 31; the lower the better.
 const QUALITY: &str = "2";
 
-/// From light as HDR has it to what a JPEG means: white of 203 cd/m² (ITU-R BT.2408) is white, and what is brighter is cut off.
+/// From light as HDR has it to what a JPEG means: white of 203 cd/m² (ITU-R BT.2408) is white, and what is
+/// brighter is cut off.
 const FROM_HDR: &str = ",zscale=t=linear:npl=203,format=gbrpf32le,zscale=p=bt709,tonemap=clip,\
                         zscale=t=iec61966-2-1:m=bt709:r=full,format=yuvj420p";
 /// Names of HLG, which phones film in, and of PQ.
@@ -39,20 +41,29 @@ struct Video {
 }
 
 /// Puts `frames` frames of `video`, or all if it has fewer, into `images`; false where `stop` has ended it.
-pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
+pub(crate) fn take_frames(
+    video: &Path,
+    frames: u32,
+    images: &Path,
+    work: &Path,
+    stop: &AtomicBool,
+) -> Result<bool> {
     if work.join(MARK).exists() {
         return Ok(true);
     }
-    let programs = Programs::default();
+    let programs = Programs::beside(video);
     let Some(ffmpeg) = programs.find(&["ffmpeg"]) else {
-        bail!("frames of a video are taken by ffmpeg, which is not on PATH; install it, or give a folder of photos");
+        bail!(
+            "frames of a video are taken by ffmpeg, which is not on PATH; install it, or give a folder of photos"
+        );
     };
     let candidates = make_empty(work, "candidates")?;
     make_empty(images.parent().unwrap_or(images), IMAGES)?;
     let command = || programs.command(&ffmpeg);
     let about = probe(&mut command(), video)?;
     let rate = about.frames_per_second.min(f64::from(CANDIDATES * frames) / about.seconds);
-    let filters = [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&mut command()) } else { "" }].concat();
+    let filters =
+        [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&mut command()) } else { "" }].concat();
     let mut command = command();
     command.args(["-hide_banner", "-nostats", "-progress", "pipe:1", "-y", "-i"]).arg(resolved(video));
     // Its folder may have a % in its name, which would be a part of the pattern.
@@ -91,7 +102,8 @@ fn probe(ffmpeg: &mut Command, video: &Path) -> Result<Video> {
     })
 }
 
-/// What follows other filters for a video in HDR: nothing, and a notice, where this ffmpeg lacks what it takes.
+/// What follows other filters for a video in HDR: nothing, and a notice, where this ffmpeg lacks what it
+/// takes.
 fn from_hdr(ffmpeg: &mut Command) -> &'static str {
     let ran = ffmpeg.args(["-hide_banner", "-filters"]).output();
     if ran.is_ok_and(|ran| String::from_utf8_lossy(&ran.stdout).contains(" zscale ")) {
@@ -107,7 +119,8 @@ fn from_hdr(ffmpeg: &mut Command) -> &'static str {
 /// `Duration: 00:01:02.50, ...` and `..., 29.97 fps, ...`.
 fn parse(said: &str) -> Option<Video> {
     let clock = said.split("Duration: ").nth(1)?.split(',').next()?;
-    let seconds = clock.split(':').try_fold(0.0, |sum, part| Some(60.0 * sum + part.trim().parse::<f64>().ok()?))?;
+    let seconds =
+        clock.split(':').try_fold(0.0, |sum, part| Some(60.0 * sum + part.trim().parse::<f64>().ok()?))?;
     let stream = said.lines().find(|line| line.contains("Video:"))?;
     let rate = stream.split(',').find_map(|part| part.trim().strip_suffix(" fps"))?.parse::<f64>().ok()?;
     let is_hdr = HDR.iter().any(|name| stream.contains(name));
@@ -121,7 +134,8 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The sharpest file of each of `count` equal intervals; all, where there are no more. `None` where `stop` is set.
+/// The sharpest file of each of `count` equal intervals; all, where there are no more. `None` where `stop` is
+/// set.
 fn sharpest(files: &[PathBuf], count: usize, stop: &AtomicBool) -> Result<Option<Vec<PathBuf>>> {
     if files.len() <= count {
         return Ok(Some(files.to_vec()));
@@ -165,7 +179,8 @@ mod tests {
     fn the_sharpest_frame_of_each_interval_stays() {
         let place = tempfile::tempdir().unwrap();
         let value = |at: u32| if (at % 64 / 3 + at / 64 / 5).is_multiple_of(2) { 220 } else { 30 };
-        let sharp = Photo { width: 64, height: 48, rgb: (0..64 * 48).flat_map(|at| [value(at); 3]).collect() };
+        let sharp =
+            Photo { width: 64, height: 48, rgb: (0..64 * 48).flat_map(|at| [value(at); 3]).collect() };
         let blurred = resize(&resize(&sharp, 20, 15), 64, 48);
         let frames = (0..7).map(|index| {
             let file = place.path().join(format!("{index}.png"));

@@ -1,6 +1,7 @@
-//! Ctrl-C and SIGTERM. While a command prepares, the first ends it at once: all loops that a stranger's file bounds are
-//! there, in our code and in others', and what is on the disk may be left at any moment. Where there are results, the first
-//! ends the run cleanly, and one that comes a second later or more ends it at once.
+//! Ctrl-C and SIGTERM. While a command prepares, the first ends it at once: all loops that a stranger's file
+//! bounds are there, in our code and in others', and what is on the disk may be left at any moment. Where
+//! there are results, the first ends the run cleanly, and one that comes a second later or more ends it at
+//! once.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -79,8 +80,8 @@ fn end() -> ! {
 /// How often signals are looked for: a handler itself may do no more than set a flag.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// Calls `handler` on a thread of its own for Ctrl-C, and for SIGTERM, by which schedulers end a program. SIGHUP is left
-/// to `nohup`.
+/// Calls `handler` on a thread of its own for Ctrl-C, and for SIGTERM, by which schedulers end a program.
+/// SIGHUP is left to `nohup`.
 fn listen(handler: impl Fn() + Send + 'static) -> Result<()> {
     let signalled = Arc::new(AtomicBool::new(false));
     let deaf = |error| anyhow!("cannot listen for Ctrl-C: {error}");

@@ -2,9 +2,10 @@
 
 /// Makes errors of them, as far as a program can.
 ///
-/// - A file that outgrows its limit (`ulimit -f`) sends SIGXFSZ. Where that is caught, the write fails instead.
-/// - Much memory is asked for before it is taken ([`genesplat::core::memory`]). Where there is none for something small,
-///   Rust says so on stderr and aborts; then the status is that of a failure.
+/// - A file that outgrows its limit (`ulimit -f`) sends SIGXFSZ. Where that is caught, the write fails
+///   instead.
+/// - Much memory is asked for before it is taken ([`genesplat::core::memory`]). Where there is none for
+///   something small, Rust says so on stderr and aborts; then the status is that of a failure.
 #[cfg(unix)]
 pub fn make_errors() {
     use std::sync::Arc;

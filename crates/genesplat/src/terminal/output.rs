@@ -67,7 +67,9 @@ pub fn is_quiet() -> bool {
 pub fn print(text: &str) -> Result<()> {
     let text = harmless(text);
     match progress::aside(|| writeln!(io::stdout().lock(), "{text}")) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(anyhow!("cannot write to stdout: {error}")),
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(anyhow!("cannot write to stdout: {error}"))
+        }
         _ => Ok(()),
     }
 }
@@ -79,14 +81,15 @@ pub fn tell(text: &str) {
     }
 }
 
-/// Writes an error to stderr. Where that takes nothing the text is lost: a run must not end because nobody listens.
+/// Writes an error to stderr. Where that takes nothing the text is lost: a run must not end because nobody
+/// listens.
 pub fn complain(text: &str) {
     let text = harmless(text);
     progress::aside(|| write(&format!("{text}\n")));
 }
 
-/// `text` as it is shown, line by line. Names are escaped where a sentence is made; what a library says of a file may
-/// quote it as it is.
+/// `text` as it is shown, line by line. Names are escaped where a sentence is made; what a library says of a
+/// file may quote it as it is.
 fn harmless(text: &str) -> String {
     text.split('\n').map(shown).collect::<Vec<_>>().join("\n")
 }
@@ -117,8 +120,8 @@ pub fn tell_notes() {
     std::mem::take(&mut *locked(&NOTES)).iter().for_each(|note| tell(note));
 }
 
-/// Calls `ask`. Graphics drivers write to the stderr of whoever opens them, and no setting of Vulkan keeps them
-/// from it; so theirs leads nowhere meanwhile.
+/// Calls `ask`. Graphics drivers write to the stderr of whoever opens them, and no setting of Vulkan keeps
+/// them from it; so theirs leads nowhere meanwhile.
 fn without_drivers(ask: &mut dyn FnMut()) {
     let _silence = if is(Volume::Verbose) { None } else { drivers::Silence::begin() };
     ask();
@@ -208,7 +211,8 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     }
 }
 
-/// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause in it.
+/// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause
+/// in it.
 pub fn error_line(error: &anyhow::Error) -> String {
     let sentence = error.to_string();
     format!("error: {}", sentence.split_whitespace().collect::<Vec<_>>().join(" "))
@@ -242,7 +246,10 @@ mod tests {
 
     #[test]
     fn lines_stay_and_what_a_terminal_obeys_does_not() {
-        assert_eq!(harmless("unknown field\n  `\u{1b}]0;x\u{7}`\n"), "unknown field\n  `\\u{1b}]0;x\\u{7}`\n");
+        assert_eq!(
+            harmless("unknown field\n  `\u{1b}]0;x\u{7}`\n"),
+            "unknown field\n  `\\u{1b}]0;x\\u{7}`\n"
+        );
     }
 
     #[test]

@@ -25,8 +25,8 @@ pub enum Ending {
     Failed,
 }
 
-/// Does the `work` that the arguments ask for, as loud as they say. `moved` has the sentence for commands of earlier
-/// versions.
+/// Does the `work` that the arguments ask for, as loud as they say. `moved` has the sentence for commands of
+/// earlier versions.
 pub fn run<A: Parser + UnwindSafe>(
     volume: fn(&A) -> Volume,
     moved: fn(&str) -> Option<&'static str>,

@@ -1,7 +1,8 @@
-//! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no terminal.
+//! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no
+//! terminal.
 //!
-//! A terminal has one bar at a time, one line that is narrower than the terminal, so a carriage return is all it takes
-//! to draw over it. Whoever writes to the terminal meanwhile does so [`aside`].
+//! A terminal has one bar at a time, one line that is narrower than the terminal, so a carriage return is all
+//! it takes to draw over it. Whoever writes to the terminal meanwhile does so [`aside`].
 
 use std::io::{self, IsTerminal};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -168,7 +169,8 @@ fn joined(parts: &[String]) -> String {
     parts.iter().filter(|part| !part.is_empty()).map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
-/// How fast work proceeds: as in the later half of what is done, since iterations get slower while a cloud grows.
+/// How fast work proceeds: as in the later half of what is done, since iterations get slower while a cloud
+/// grows.
 struct Pace {
     /// Position and time at the start, and at each percent that was reached.
     marks: Vec<(u64, Instant)>,

@@ -43,7 +43,8 @@ impl Drop for Served {
 }
 
 /// The picture as it is shown, small.
-const PICTURE: &str = "const small = document.createElement('canvas'); [small.width, small.height] = [32, 24];
+const PICTURE: &str =
+    "const small = document.createElement('canvas'); [small.width, small.height] = [32, 24];
     small.getContext('2d').drawImage(document.getElementById('picture'), 0, 0, 32, 24);
     return small.toDataURL();";
 const ITERATION: &str = "return Number(document.getElementById('iteration').dataset.iteration)";
@@ -114,7 +115,10 @@ fn a_user_looks_around_pauses_and_stops() {
     await_other_picture(&browser, &free, "a jump to a camera");
     // The focus is on the camera's button.
     browser.press("]");
-    assert_eq!(browser.run("return document.querySelector('#cameras li:nth-child(7) button').ariaCurrent"), "true");
+    assert_eq!(
+        browser.run("return document.querySelector('#cameras li:nth-child(7) button').ariaCurrent"),
+        "true"
+    );
     assert_eq!(browser.run(ITERATION), paused_at, "a pause is one");
     look_at_a_camera(&browser);
     look_in_all_modes(&browser);
@@ -133,7 +137,8 @@ fn a_user_looks_around_pauses_and_stops() {
     assert!(run.join("point_cloud.ply").exists() && run.join("snapshots").exists());
 }
 
-/// A long notice, as the run may send one at any time, whose middle is over the element until its style is taken away.
+/// A long notice, as the run may send one at any time, whose middle is over the element until its style is
+/// taken away.
 fn lay_a_notice_over(browser: &Browser, selector: &str) {
     browser.run(&format!(
         "const [notice, below] = [document.getElementById('notice'), document.querySelector('{selector}')];

@@ -96,7 +96,8 @@ fn the_page_draws_what_render_draws() {
     ] {
         let splat = at("splat.ply");
         cloud.filter_3d = (filter == ScreenFilter::Mip).then(|| vec![0.01; cloud.len()]);
-        format::write(&splat, Format::Ply, &cloud, &Options { screen_filter: filter, ..Options::default() }).unwrap();
+        format::write(&splat, Format::Ply, &cloud, &Options { screen_filter: filter, ..Options::default() })
+            .unwrap();
         let common = [text(&splat), "--data", text(&scene), "--device", "cpu", "--out"];
         genesplat(&[&["export"], &common[..], &[text(&html)]].concat());
         let render = |name: &str| {
@@ -152,7 +153,9 @@ fn the_peers_splat_travels_as_one_file() {
 
 fn look_at_the_page(browser: &Browser, html: &Path) {
     // The last is wide enough for what only wide windows have.
-    for (is_dark, width, height) in [(true, 1200, 800), (false, 360, 780), (false, 1200, 800), (false, 1800, 700)] {
+    for (is_dark, width, height) in
+        [(true, 1200, 800), (false, 360, 780), (false, 1200, 800), (false, 1800, 700)]
+    {
         browser.prefer_dark(is_dark);
         browser.resize(width, height);
         open(browser, html, "0001.jpg");

@@ -24,20 +24,23 @@ pub(crate) struct Browser {
 }
 
 impl Browser {
-    /// Chromium with a new profile and more `flags`; `None` where this machine has none, which is a failure in CI.
+    /// Chromium with a new profile and more `flags`; `None` where this machine has none, which is a failure
+    /// in CI.
     pub(crate) fn open(flags: &[&str]) -> Option<Self> {
-        let started = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+        let started =
+            Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let Ok(mut driver) = started else {
             assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no chromedriver");
             crate::skipped("there is no chromedriver (Debian: apt install chromium chromium-driver)");
             return None;
         };
         let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
-        let port =
-            lines.find_map(|line| line.split_once("successfully on port ")?.1.trim_end_matches('.').parse().ok());
+        let port = lines
+            .find_map(|line| line.split_once("successfully on port ")?.1.trim_end_matches('.').parse().ok());
         std::thread::spawn(move || lines.for_each(drop));
         let profile = tempfile::tempdir().unwrap();
-        let mut browser = Self { driver, port: port.expect("a port"), session: String::new(), _profile: profile };
+        let mut browser =
+            Self { driver, port: port.expect("a port"), session: String::new(), _profile: profile };
         browser.begin(flags);
         Some(browser)
     }
@@ -58,9 +61,11 @@ impl Browser {
             &profile,
         ];
         let arguments = [&arguments, flags].concat();
-        let options = json!({"goog:chromeOptions": {"args": arguments}, "goog:loggingPrefs": {"browser": "ALL"}});
+        let options =
+            json!({"goog:chromeOptions": {"args": arguments}, "goog:loggingPrefs": {"browser": "ALL"}});
         let session = self.request("POST", "/session", &json!({"capabilities": {"alwaysMatch": options}}));
-        self.session = session["sessionId"].as_str().unwrap_or_else(|| panic!("no session: {session}")).to_owned();
+        self.session =
+            session["sessionId"].as_str().unwrap_or_else(|| panic!("no session: {session}")).to_owned();
     }
 
     pub(crate) fn go_to(&self, url: &str) {
@@ -89,8 +94,7 @@ impl Browser {
     /// Presses the mouse in the middle of an element, and moves it.
     pub(crate) fn drag(&self, selector: &str, dx: i32, dy: i32) {
         let element = json!({ELEMENT: self.find(selector)});
-        let step =
-            |dx: i32, dy: i32| json!({"type": "pointerMove", "origin": "pointer", "duration": 80, "x": dx, "y": dy});
+        let step = |dx: i32, dy: i32| json!({"type": "pointerMove", "origin": "pointer", "duration": 80, "x": dx, "y": dy});
         let actions = json!([
             {"type": "pointerMove", "origin": element, "x": 0, "y": 0},
             {"type": "pointerDown", "button": 0},
@@ -146,7 +150,8 @@ impl Browser {
     }
 
     fn request(&self, method: &str, path: &str, body: &Value) -> Value {
-        let mut answer = self.exchange(method, path, body).unwrap_or_else(|error| panic!("{method} {path}: {error}"));
+        let mut answer =
+            self.exchange(method, path, body).unwrap_or_else(|error| panic!("{method} {path}: {error}"));
         let value = answer["value"].take();
         assert!(value.get("error").is_none(), "{method} {path}: {value}");
         value
@@ -171,7 +176,9 @@ fn read_body(mut answer: impl BufRead) -> io::Result<Vec<u8>> {
     loop {
         let mut line = String::new();
         answer.read_line(&mut line)?;
-        if let Some((_, value)) = line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length")) {
+        if let Some((_, value)) =
+            line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length"))
+        {
             length = value.trim().parse().map_err(io::Error::other)?;
         }
         if line.trim().is_empty() {

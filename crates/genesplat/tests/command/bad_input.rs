@@ -59,8 +59,10 @@ fn a_truncated_points_file() {
 
 #[test]
 fn a_count_of_two_to_the_sixtieth() {
-    Spoilt::new(|scene| edit(&points(scene), |bytes| bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes())))
-        .fails(&["points3D.bin", "1152921504606846976", "again"]);
+    Spoilt::new(|scene| {
+        edit(&points(scene), |bytes| bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes()))
+    })
+    .fails(&["points3D.bin", "1152921504606846976", "again"]);
 }
 
 #[test]
@@ -98,8 +100,9 @@ fn paths_that_are_no_text() {
     let odd = folder.path().join(OsStr::from_bytes(b"sc\xffne"));
     copy_scene(&odd);
     let out = folder.path().join("run");
-    let arguments =
-        |out: &Path| [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned);
+    let arguments = |out: &Path| {
+        [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned)
+    };
     let cpu = ["--device", "cpu", "--iterations", "3"].map(OsStr::new).map(OsStr::to_owned);
     fail(arguments(&out).iter().chain(&cpu), &["the path", "not UTF-8", "rename"]);
     assert!(!out.exists());
@@ -119,7 +122,10 @@ fn a_results_folder_that_cannot_be_written_fails_before_anything_is_read() {
     fail(train(&absent_scene, &file.join("run"), &[]), &["cannot write", "config.toml"]);
     let splat = folder.path().join("absent.ply");
     let out = file.join("splat.ply");
-    fail(["refine", text(&splat), "--data", text(scene()), "--out", text(&out)], &["cannot write", "splat.ply"]);
+    fail(
+        ["refine", text(&splat), "--data", text(scene()), "--out", text(&out)],
+        &["cannot write", "splat.ply"],
+    );
 }
 
 /// There is no room for the log, and training stops at its first line.
@@ -131,7 +137,8 @@ fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
 
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let run = on_a_full_disk(command(train(scene(), &out, &["--iterations", "20"])), "log.jsonl").output().unwrap();
+    let run =
+        on_a_full_disk(command(train(scene(), &out, &["--iterations", "20"])), "log.jsonl").output().unwrap();
     judge_failure(run, &["log.jsonl", "No space left", "--resume goes on from there", "--resume"]);
     assert!(out.join("point_cloud.ply").exists() && !out.join("metrics.json").exists());
     succeed(train(scene(), &out, &["--resume", "--iterations", "20"]));

@@ -21,11 +21,12 @@ fn photo(x: usize) -> String {
     format!("p{x:02}.png")
 }
 
-/// House fronts of 11 x 12 units in all, higher than they are wide, in three rows, and a photo of every unit of their width, 3 units
-/// before them. Photos 0 and 5 have masks, under the names of both conventions.
+/// House fronts of 11 x 12 units in all, higher than they are wide, in three rows, and a photo of every unit
+/// of their width, 3 units before them. Photos 0 and 5 have masks, under the names of both conventions.
 fn write_street(folder: &Path) {
     let [width, height] = SIZE;
-    let intrinsics = Intrinsics { width, height, focal_px: [24.0; 2], principal_px: [12.0, 48.0], lens: None };
+    let intrinsics =
+        Intrinsics { width, height, focal_px: [24.0; 2], principal_px: [12.0, 48.0], lens: None };
     let image = |x: usize| ImageRecord {
         name: photo(x),
         camera: 1,
@@ -43,8 +44,11 @@ fn write_street(folder: &Path) {
         notices: Vec::new(),
     };
     write_model(&folder.join("sparse/0"), &model).unwrap();
-    let picture =
-        |value: u32| Photo { width, height, rgb: (0..3 * width * height).map(|i| (i * value) as u8).collect() };
+    let picture = |value: u32| Photo {
+        width,
+        height,
+        rgb: (0..3 * width * height).map(|i| (i * value) as u8).collect(),
+    };
     (0..12).for_each(|x| write_png(&folder.join("images").join(photo(x)), &picture(x as u32 + 1)).unwrap());
     write_png(&folder.join("masks/p00.png.png"), &picture(14)).unwrap();
     write_png(&folder.join("masks/p05.png"), &picture(15)).unwrap();
@@ -84,7 +88,16 @@ fn blocks_have_the_photos_that_show_them_and_their_masks() {
     let [street, blocks, list] = ["street", "bl ocks", "held out.txt"].map(|name| place.path().join(name));
     write_street(&street);
     fs::write(&list, "p01\n").unwrap();
-    let said = succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&blocks), "--test-list", text(&list)]);
+    let said = succeed([
+        "split",
+        text(&street),
+        "--blocks",
+        "2x1",
+        "--out",
+        text(&blocks),
+        "--test-list",
+        text(&list),
+    ]);
 
     // The fronts are cut at 5.5, across their width, though they are higher than wide.
     let scenes = ["0-0", "1-0"].map(|name| blocks.join("scenes").join(name));
@@ -93,7 +106,10 @@ fn blocks_have_the_photos_that_show_them_and_their_masks() {
     assert_eq!(names(&scenes[0].join("masks")), ["p00.png.png", "p05.png.png"].map(str::to_owned).into());
     assert_eq!(names(&scenes[1].join("masks")), ["p05.png.png"].map(str::to_owned).into());
     for scene in &scenes {
-        assert_eq!(fs::read(scene.join("masks/p05.png.png")).unwrap(), fs::read(street.join("masks/p05.png")).unwrap());
+        assert_eq!(
+            fs::read(scene.join("masks/p05.png.png")).unwrap(),
+            fs::read(street.join("masks/p05.png")).unwrap()
+        );
     }
     assert_eq!(fs::read_to_string(scenes[0].join("test.txt")).unwrap(), "p01.png\n");
     assert!(!scenes[1].join("test.txt").exists(), "none of its photos is held out");
@@ -122,7 +138,16 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let [street, blocks, list] = ["street", "bl ocks", "list"].map(|name| place.path().join(name));
     write_street(&street);
     fs::write(&list, "p01\n").unwrap();
-    let said = succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&blocks), "--test-list", text(&list)]);
+    let said = succeed([
+        "split",
+        text(&street),
+        "--blocks",
+        "2x1",
+        "--out",
+        text(&blocks),
+        "--test-list",
+        text(&list),
+    ]);
     let [first, second, merge] = commands(&said).try_into().unwrap();
     let works = |line: &str| {
         let output = in_shell(line, place.path());
@@ -145,14 +170,20 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert_eq!(photos[1]["name"], "p05.png");
     photos[1]["photo"] = photos[0]["photo"].clone();
     fs::write(&inputs, other.to_string()).unwrap();
-    let words =
-        ["runs/0-0", "runs/1-0", "photo p05.png is not what the run began with", "split the scene as it is now"];
+    let words = [
+        "runs/0-0",
+        "runs/1-0",
+        "photo p05.png is not what the run began with",
+        "split the scene as it is now",
+    ];
     judge_failure(in_shell(merge, place.path()), &words);
     fs::write(&inputs, before).unwrap();
     works(merge);
 
-    // Every block gives what stands on its side of the cut, and nothing else. On the cut itself stand some points, rounded to either.
-    let [left, right] = ["0-0", "1-0"].map(|name| places(&blocks.join("runs").join(name).join("point_cloud.ply")));
+    // Every block gives what stands on its side of the cut, and nothing else. On the cut itself stand some
+    // points, rounded to either.
+    let [left, right] =
+        ["0-0", "1-0"].map(|name| places(&blocks.join("runs").join(name).join("point_cloud.ply")));
     let apart = |places: Vec<f32>| places.into_iter().filter(|x| (x - 5.5).abs() > 0.1).collect::<Vec<f32>>();
     let whole = apart(places(&place.path().join("merged.ply")));
     let (from_left, from_right): (Vec<f32>, Vec<f32>) = whole.iter().partition(|x| **x < 5.5);

@@ -18,7 +18,8 @@ fn a_path_becomes_pictures_that_differ() {
     succeed(train(scene(), &run, &["--iterations", "40"]));
     fs::write(&file, format!(r#"{{"genesplat_path":1,"views":[{}]}}"#, VIEW.join(","))).unwrap();
     let arguments = |path: &str| {
-        let fixed = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--frames", "5", "--path"];
+        let fixed =
+            ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--frames", "5", "--path"];
         [&fixed[..], &[path, "--out"]].concat().into_iter().map(str::to_owned).collect::<Vec<_>>()
     };
     let with = |path: &str, out: &str| [arguments(path), vec![out.to_owned()]].concat();
@@ -28,7 +29,8 @@ fn a_path_becomes_pictures_that_differ() {
         assert_eq!((frame(1).width, frame(1).height), (64, 48), "{path}");
         assert!((1..5).all(|index| frame(index) != frame(index + 1)), "{path} stands still");
     }
-    let shorter = with("orbit", text(&out)).into_iter().map(|word| if word == "5" { "3".to_owned() } else { word });
+    let shorter =
+        with("orbit", text(&out)).into_iter().map(|word| if word == "5" { "3".to_owned() } else { word });
     fail(shorter.collect::<Vec<_>>(), &["0004.png would be a frame of another path", "--out"]);
     fs::write(&file, r#"{"genesplat_path":1,"views":[]}"#).unwrap();
     fail(with(text(&file), text(&out)), &["path.json", "from 2 to"]);
@@ -51,7 +53,8 @@ fn ffmpeg_makes_films_where_it_is_there() {
     let run = folder.path().join("run");
     succeed(train(scene(), &run, &["--iterations", "40"]));
     // What stands for a number in names of pictures is a name like any other.
-    let names = [("film.mp4", &b"ftyp"[..]), ("film.gif", b"GIF8"), ("100%.mp4", b"ftyp"), ("a:%03d.gif", b"GIF8")];
+    let names =
+        [("film.mp4", &b"ftyp"[..]), ("film.gif", b"GIF8"), ("100%.mp4", b"ftyp"), ("a:%03d.gif", b"GIF8")];
     for (name, magic) in names {
         let film = folder.path().join(name);
         let path = ["--path", "orbit", "--frames", "6", "--out", text(&film)];
@@ -106,7 +109,8 @@ fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
     fs::create_dir(&programs).unwrap();
     let ffmpeg = programs.join("ffmpeg");
     // The last word is the file to write, after its protocol.
-    let program = "#!/bin/sh\nfor file; do :; done\n: >\"${file#file:}\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
+    let program =
+        "#!/bin/sh\nfor file; do :; done\n: >\"${file#file:}\"\n: >\"$0.began\"\nexec cat >/dev/null\n";
     fs::write(&ffmpeg, program).unwrap();
     fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
@@ -115,14 +119,18 @@ fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
         let arguments = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit"];
         let mut command = command(arguments.iter().chain(&["--frames", "10000", "--out", text(&place)]));
         let child = command.env("PATH", &path).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let has_frame = || fs::read_dir(&place).is_ok_and(|mut files| files.any(|file| is_png(&file.unwrap().path())));
+        let has_frame =
+            || fs::read_dir(&place).is_ok_and(|mut files| files.any(|file| is_png(&file.unwrap().path())));
         while !programs.join("ffmpeg.began").exists() || (name == "frames" && !has_frame()) {
             std::thread::sleep(std::time::Duration::from_millis(5));
         }
         assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
         let output = child.wait_with_output().unwrap();
         let text = String::from_utf8(output.stdout).unwrap();
-        assert!(output.status.code() == Some(130) && text.contains("stopped") && text.contains(said), "{text}");
+        assert!(
+            output.status.code() == Some(130) && text.contains("stopped") && text.contains(said),
+            "{text}"
+        );
         assert_eq!(fs::read_dir(&out).unwrap().count(), usize::from(name == "frames"), "{name}");
     }
 }

@@ -31,7 +31,8 @@ fn psnr(splat: &Path, scene: &Path) -> f64 {
 
 /// The figure of the line that begins so.
 fn figure(said: &str, line: &str, word: usize) -> f64 {
-    let line = said.lines().find(|text| text.starts_with(line)).unwrap_or_else(|| panic!("no {line}: {said}"));
+    let line =
+        said.lines().find(|text| text.starts_with(line)).unwrap_or_else(|| panic!("no {line}: {said}"));
     line.split_whitespace().nth(word).unwrap().replace(',', "").parse().unwrap()
 }
 
@@ -45,7 +46,8 @@ fn a_run_becomes_every_format_and_each_is_measured_and_refined() {
         let said = succeed(["convert", text(&run), text(&out), "--data", text(scene())]);
         let (after, lost) = (psnr(&out, scene()), figure(&said, "lost", 1));
         assert!(
-            (figure(&said, "before", 3) - before).abs() < 0.006 && (figure(&said, "after", 3) - after).abs() < 0.006
+            (figure(&said, "before", 3) - before).abs() < 0.006
+                && (figure(&said, "after", 3) - after).abs() < 0.006
         );
         assert!((before - after - lost).abs() < 0.006, "{said}");
         let most = if format == Format::Splat { 2.0 } else { 0.5 };
@@ -55,7 +57,16 @@ fn a_run_becomes_every_format_and_each_is_measured_and_refined() {
         assert_eq!(figure(line, "", 0), rows as f64, "{line}");
         assert!(line.replace(',', "").contains(&format!(": {bytes} bytes")), "{line}");
         let refined = folder.path().join(format!("refined{}", format.ending()));
-        succeed(["refine", text(&out), "--data", text(scene()), "--iterations", "3", "--out", text(&refined)]);
+        succeed([
+            "refine",
+            text(&out),
+            "--data",
+            text(scene()),
+            "--iterations",
+            "3",
+            "--out",
+            text(&refined),
+        ]);
         assert_eq!(format::read(&refined).unwrap().format, format, "the name says what is written");
     }
 }
@@ -96,14 +107,20 @@ fn gaussians_that_cannot_be_shown_are_left_out_and_counted() {
     cloud.positions[5][1] = f32::NAN;
     save(&cloud);
     let (said, notice) = notices(&["--data", text(scene())]);
-    let one = format!("notice: 1 of {rows} Gaussians is left out, since the position of Gaussian 5 is not finite\n");
+    let one = format!(
+        "notice: 1 of {rows} Gaussians is left out, since the position of Gaussian 5 is not finite\n"
+    );
     assert!(notice.replace(',', "").contains(&one.replace(',', "")), "{notice}");
-    let lines = ["read from", "written to"].map(|what| said.lines().find(|line| line.contains(what)).unwrap());
+    let lines =
+        ["read from", "written to"].map(|what| said.lines().find(|line| line.contains(what)).unwrap());
     assert_eq!(lines.map(|line| figure(line, "", 0)), [f64::from(rows), f64::from(rows - 1)]);
     let left: Vec<u32> = (0..rows).filter(|&row| row != 5).collect();
     assert_eq!(format::read(&out).unwrap().cloud, whole.gather(&left));
     let advice = format!("`genesplat convert {} OUT` leaves such Gaussians out", text(&path));
-    fail(["evaluate", text(&path), "--data", text(scene())], &["position of Gaussian 5 is not finite", &advice]);
+    fail(
+        ["evaluate", text(&path), "--data", text(scene())],
+        &["position of Gaussian 5 is not finite", &advice],
+    );
     fail(["inspect", text(&path)], &[&advice]);
 
     cloud.sh[3][0] = f32::INFINITY;
@@ -125,7 +142,11 @@ fn flat_gaussians_are_shown_with_a_thickness() {
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 rot_0 rot_1 rot_2 rot_3";
     let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
     let row = "0 0 2 1 1 1 3 -2 -3 1 0 0 0";
-    std::fs::write(&path, format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n{row}\n")).unwrap();
+    std::fs::write(
+        &path,
+        format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n{row}\n"),
+    )
+    .unwrap();
     for words in [vec!["inspect", text(&path)], vec!["convert", text(&path), text(&out)]] {
         let output = run(words);
         let notices = String::from_utf8(output.stderr).unwrap();

@@ -1,5 +1,5 @@
-//! Same seed, same bytes: for any number of threads, for any held-out photos, and from the configuration that a run has
-//! saved.
+//! Same seed, same bytes: for any number of threads, for any held-out photos, and from the configuration that
+//! a run has saved.
 
 use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
@@ -32,7 +32,10 @@ fn threads_change_nothing_and_seeds_do() {
     let (one, metrics) = run("one", &["--threads", "1", "--seed", "3"]);
     let stages = metrics["evolution"].as_array().unwrap();
     assert_eq!(stages.len(), 2);
-    assert!(stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)), "evolution took part: {stages:?}");
+    assert!(
+        stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)),
+        "evolution took part: {stages:?}"
+    );
     assert!(one == run("seven", &["--threads", "7", "--seed", "3"]).0, "seven threads");
     assert!(one != run("other", &["--threads", "7", "--seed", "4"]).0, "another seed");
 }
@@ -54,7 +57,8 @@ fn threads_change_nothing_in_other_methods_either() {
     }
 }
 
-/// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must choose at any.
+/// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must
+/// choose at any.
 #[test]
 fn threads_change_nothing_in_selection_and_averages_either() {
     let folder = tempfile::tempdir().unwrap();
@@ -66,7 +70,8 @@ fn threads_change_nothing_in_selection_and_averages_either() {
     };
     let (one, metrics) = run("1");
     let stages = metrics["evolution"].as_array().unwrap();
-    let took_part = |stage: &serde_json::Value| stage["kind"] == "averaging" && stage["changed"].as_u64() > Some(0);
+    let took_part =
+        |stage: &serde_json::Value| stage["kind"] == "averaging" && stage["changed"].as_u64() > Some(0);
     assert!(stages.len() == 1 && took_part(&stages[0]), "{stages:?}");
     assert!(one == run("7").0, "seven threads");
 }

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
 use crate::support::{command, fail, scene, skipped, started_by, succeed, text, train};
 
-/// A small disk in memory, made and left again by one shell that has it to itself: `first` runs on it, then it grows, and
-/// the other commands run.
+/// A small disk in memory, made and left again by one shell that has it to itself: `first` runs on it, then
+/// it grows, and the other commands run.
 const ON_A_SMALL_DISK: &str = r#"
     mount -t tmpfs -o size="$SIZE" genesplat "$DISK" || exit 77
     "$0" "$@" 2>"$NOTES/first"; echo $? >"$NOTES/status"
@@ -94,7 +94,10 @@ fn a_run_whose_folder_vanishes_is_written_all_the_same() {
     succeed(train(scene(), &whole, &schedule));
     let out = place.path().join("out");
     let (status, said) = run_without_its_folder(&out, &schedule, None);
-    assert!(status == Some(0) && said.contains("was removed while this run wrote to it"), "{status:?} {said}");
+    assert!(
+        status == Some(0) && said.contains("was removed while this run wrote to it"),
+        "{status:?} {said}"
+    );
     assert_same_run(&out, &whole);
     let log = fs::read_to_string(out.join("log.jsonl")).unwrap();
     assert!(log.lines().count() > 3, "{log}");
@@ -110,7 +113,10 @@ fn a_run_whose_folder_has_vanished_is_saved_when_it_is_stopped_and_goes_on_as_it
     let (whole, out) = (place.path().join("whole"), place.path().join("out"));
     succeed(train(scene(), &whole, &schedule));
     let (status, said) = run_without_its_folder(&out, &schedule, Some("-INT"));
-    assert!(status == Some(130) && said.contains("was removed while this run wrote to it"), "{status:?} {said}");
+    assert!(
+        status == Some(130) && said.contains("was removed while this run wrote to it"),
+        "{status:?} {said}"
+    );
     let mut arguments = train(scene(), &out, &schedule);
     advance(&mut arguments, &|arguments| command(arguments), |_| false);
     assert!(arguments.iter().any(|word| word == "--resume"), "it says what the next command wants");

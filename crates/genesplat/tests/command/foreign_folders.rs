@@ -57,8 +57,15 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
     let (precious, broken) = (precious(place.path()), place.path().join("broken"));
     break_run(&broken);
     let events = "tensorboard/events.out.tfevents.genesplat";
-    let names =
-        ["log.jsonl", "metrics.json", "point_cloud.ply", "point_cloud_fused.ply", "report.html", ".lock", events];
+    let names = [
+        "log.jsonl",
+        "metrics.json",
+        "point_cloud.ply",
+        "point_cloud_fused.ply",
+        "report.html",
+        ".lock",
+        events,
+    ];
     for (index, name) in names.iter().enumerate() {
         for planted in Planted::ALL {
             let run = place.path().join(format!("{index}-{planted:?}"));
@@ -73,7 +80,8 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
     let run = place.path().join("pictures");
     copy(&broken, &run);
     fs::create_dir_all(run.join("test")).unwrap();
-    let pictures: Vec<PathBuf> = (0..12).map(|photo| run.join(format!("test/gallery_{photo:03}.png"))).collect();
+    let pictures: Vec<PathBuf> =
+        (0..12).map(|photo| run.join(format!("test/gallery_{photo:03}.png"))).collect();
     pictures.iter().for_each(|picture| symlink(&precious, picture).unwrap());
     succeed(train(scene(), &run, &["--resume"]));
     is_untouched(&precious);
@@ -85,14 +93,19 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
     fs::create_dir_all(run.join("snapshots")).unwrap();
     fs::remove_dir(run.join("snapshots")).unwrap();
     symlink(place.path(), run.join("snapshots")).unwrap();
-    judge_failure(end_of(train(scene(), &run, &["--resume"])), &["snapshots", "is a link, and a folder is needed"]);
+    judge_failure(
+        end_of(train(scene(), &run, &["--resume"])),
+        &["snapshots", "is a link, and a folder is needed"],
+    );
 }
 
 #[test]
 fn a_search_for_cameras_in_the_scene_of_a_stranger_is_written_through_no_link_and_waits_for_no_pipe() {
     let place = tempfile::tempdir().unwrap();
     let (precious, photos) = (precious(place.path()), scene().join("images"));
-    for name in ["engine.log", "source.json", "summary.json", "database.db", "heic.json", "features.done", ".lock"] {
+    for name in
+        ["engine.log", "source.json", "summary.json", "database.db", "heic.json", "features.done", ".lock"]
+    {
         for planted in Planted::ALL {
             let out = place.path().join(format!("{name}-{planted:?}"));
             planted.at(&out.join("poses").join(name), &precious);
@@ -103,7 +116,10 @@ fn a_search_for_cameras_in_the_scene_of_a_stranger_is_written_through_no_link_an
     let out = place.path().join("scene");
     fs::create_dir(&out).unwrap();
     symlink(place.path(), out.join("poses")).unwrap();
-    judge_failure(end_of(["poses", text(&photos), "--out", text(&out)]), &["poses is a link, and a folder is needed"]);
+    judge_failure(
+        end_of(["poses", text(&photos), "--out", text(&out)]),
+        &["poses is a link, and a folder is needed"],
+    );
 }
 
 #[test]
@@ -125,7 +141,8 @@ fn pictures_are_rendered_through_no_link_in_a_folder() {
     // A name that the user gives may lead elsewhere.
     let (link, picture) = (place.path().join("link.png"), place.path().join("picture.png"));
     symlink(&picture, &link).unwrap();
-    let one = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--image", "gallery_001.png"];
+    let one =
+        ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--image", "gallery_001.png"];
     succeed(one.iter().chain(&["--out", text(&link)]));
     assert!(link.is_symlink() && picture.is_file());
 }
@@ -164,7 +181,8 @@ fn a_split_goes_on_only_with_what_it_was_begun_with() {
     let place = tempfile::tempdir().unwrap();
     let [source, out] = ["scene", "blocks"].map(|name| place.path().join(name));
     copy_scene(&source);
-    let split = |blocks: &str| ["split", text(&source), "--blocks", blocks, "--out", text(&out)].map(str::to_owned);
+    let split =
+        |blocks: &str| ["split", text(&source), "--blocks", blocks, "--out", text(&out)].map(str::to_owned);
     // What is left of a process that was killed before it had written a byte of its own.
     fs::create_dir(&out).unwrap();
     for name in [".lock", ".genesplat-4711-0.tmp"] {

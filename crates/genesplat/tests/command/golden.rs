@@ -1,8 +1,9 @@
-//! Every method's splat is the same to the byte as when its published rules were last compared, whatever is reshaped.
+//! Every method's splat is the same to the byte as when its published rules were last compared, whatever is
+//! reshaped.
 //!
-//! Hashes are those of commit `718eef9f`, the last before methods had files of their own. Bytes hang on the processor's
-//! approximate reciprocals and on the system's `exp`: a machine that computes otherwise compares figures, within what
-//! rounding costs.
+//! Hashes are those of commit `718eef9f`, the last before methods had files of their own. Bytes hang on the
+//! processor's approximate reciprocals and on the system's `exp`: a machine that computes otherwise compares
+//! figures, within what rounding costs.
 
 use std::hash::Hasher;
 
@@ -65,11 +66,12 @@ fn hash(bytes: &[u8]) -> u64 {
     hasher.finish()
 }
 
-/// Whether this machine computes as the one on which hashes were recorded: Intel's reciprocals of AVX-512, and glibc's
-/// functions.
+/// Whether this machine computes as the one on which hashes were recorded: Intel's reciprocals of AVX-512,
+/// and glibc's functions.
 fn computes_alike() -> bool {
     let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let functions: [fn(f32) -> f32; 7] = [f32::exp, f32::ln, f32::sqrt, f32::sin, f32::cos, f32::tan, f32::atan];
+    let functions: [fn(f32) -> f32; 7] =
+        [f32::exp, f32::ln, f32::sqrt, f32::sin, f32::cos, f32::tan, f32::atan];
     let bytes_of = |f: fn(f32) -> f32| (1..2000u16).flat_map(move |i| f(f32::from(i) * 0.007).to_le_bytes());
     let bytes: Vec<u8> = functions.into_iter().flat_map(bytes_of).collect();
     cpu.contains("GenuineIntel") && cpu.contains(" avx512f ") && hash(&bytes) == FUNCTIONS
@@ -89,8 +91,10 @@ fn every_method_makes_the_bytes_that_it_made() {
         let genetic: &[&str] = if name.ends_with("-genetic") { &GENETIC } else { &[] };
         succeed(train(scene, &out, &[flags, genetic, &["--no-lpips", "--threads", "2"]].concat()));
         let (found, metrics) = (hash(&cloud(&out)), json(&out.join("metrics.json")));
-        let (its_psnr, its_gaussians) = (number(&metrics["test"]["psnr"]), metrics["gaussians"].as_u64().unwrap());
-        let is_near = (its_psnr - psnr).abs() < 1.0 && its_gaussians.abs_diff(gaussians) <= 10 + gaussians / 8;
+        let (its_psnr, its_gaussians) =
+            (number(&metrics["test"]["psnr"]), metrics["gaussians"].as_u64().unwrap());
+        let is_near =
+            (its_psnr - psnr).abs() < 1.0 && its_gaussians.abs_diff(gaussians) <= 10 + gaussians / 8;
         if !(if is_exact { found == expected } else { is_near }) {
             wrong.push(format!("{name}: {found:#018x}, {its_psnr:.2} dB, {its_gaussians} Gaussians"));
         }

@@ -1,5 +1,5 @@
-//! Files from strangers: pipes in place of files, names that command the terminal, names that no folder can hold, and
-//! coordinates of no scene.
+//! Files from strangers: pipes in place of files, names that command the terminal, names that no folder can
+//! hold, and coordinates of no scene.
 
 use std::fs;
 use std::path::Path;
@@ -91,7 +91,10 @@ fn names_do_not_reach_the_terminal_as_commands() {
     let check = |output: &Output| {
         for bytes in [&output.stdout, &output.stderr] {
             let said = std::str::from_utf8(bytes).unwrap();
-            assert!(said.chars().all(|char| char == '\n' || !(char.is_control() || char == '\u{202e}')), "{said:?}");
+            assert!(
+                said.chars().all(|char| char == '\n' || !(char.is_control() || char == '\u{202e}')),
+                "{said:?}"
+            );
             assert!(said.lines().all(|line| !line.starts_with("error: rm")), "{said:?}");
         }
     };
@@ -125,7 +128,8 @@ fn names_do_not_reach_the_terminal_as_commands() {
     check(&end_of(train(&scene, &out, &["--config", text(&config)])));
 }
 
-/// Test photos become `NAME.png` in the folder of the run, which may be on a file system that does not tell cases apart.
+/// Test photos become `NAME.png` in the folder of the run, which may be on a file system that does not tell
+/// cases apart.
 #[test]
 fn photos_with_the_longest_names_and_with_names_that_differ_in_case_are_tested_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -139,7 +143,8 @@ fn photos_with_the_longest_names_and_with_names_that_differ_in_case_are_tested_o
     let out = folder.path().join("run");
     succeed(train(folder.path(), &out, &["--iterations", "3"]));
     let entries = fs::read_dir(out.join("test")).unwrap();
-    let mut tested: Vec<String> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let mut tested: Vec<String> =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     tested.sort();
     let cut = format!("00001_{}.png", &longest[..245]);
     assert_eq!(tested, ["00000_GALLERY_016.png", &cut, "00002_gallery_016.png"]);

@@ -1,4 +1,5 @@
-//! A run goes on with what it began with, and what has changed is named: photos, masks, cameras, points, settings.
+//! A run goes on with what it began with, and what has changed is named: photos, masks, cameras, points,
+//! settings.
 
 #![cfg(unix)]
 
@@ -18,8 +19,9 @@ use crate::support::{cloud, command, fail, json, judge_failure, run, succeed, te
 /// Long enough to be stopped midway.
 const LONG: [&str; 6] = ["--steps-scale", "0.04", "--max-gaussians", "1200", "--no-lpips", "--seed"];
 
-static GALLERY: LazyLock<Gallery> =
-    LazyLock::new(|| gallery::generate(&GalleryOptions { width: 64, height: 48, views: 10, points: 300, seed: 5 }));
+static GALLERY: LazyLock<Gallery> = LazyLock::new(|| {
+    gallery::generate(&GalleryOptions { width: 64, height: 48, views: 10, points: 300, seed: 5 })
+});
 
 /// The gallery, with a mask of its fourth photo.
 fn write_scene(folder: &Path, gallery: &Gallery) {
@@ -77,7 +79,11 @@ fn invert(gallery: &mut Gallery, at: usize) {
 type Case = (fn(&mut Gallery), fn(&Path), &'static str);
 
 const CASES: [Case; 11] = [
-    (|gallery| invert(gallery, 7), |_| (), "photo gallery_007.png is not what the run began with (the run is"),
+    (
+        |gallery| invert(gallery, 7),
+        |_| (),
+        "photo gallery_007.png is not what the run began with (the run is",
+    ),
     (
         |gallery| {
             let [one, other] = gallery.views.get_disjoint_mut([2, 5]).unwrap();
@@ -104,7 +110,10 @@ const CASES: [Case; 11] = [
     ),
     (
         |gallery| {
-            gallery.views.iter_mut().for_each(|view| view.camera.focal_px = view.camera.focal_px.map(|f| 2.0 * f))
+            gallery
+                .views
+                .iter_mut()
+                .for_each(|view| view.camera.focal_px = view.camera.focal_px.map(|f| 2.0 * f))
         },
         |_| (),
         "the camera (size, focal length or lens) of photo gallery_000.png is not what the run began with (the first of 10",
@@ -121,11 +130,17 @@ const CASES: [Case; 11] = [
     ),
     (
         |_| (),
-        |scene| _ = fs::copy(scene.join("images/gallery_001.png"), scene.join("masks/gallery_004.png")).unwrap(),
+        |scene| {
+            _ = fs::copy(scene.join("images/gallery_001.png"), scene.join("masks/gallery_004.png")).unwrap()
+        },
         "the mask of photo gallery_004.png is not what the run began with",
     ),
     (|gallery| gallery.points[7].rgb[1] ^= 1, |_| (), "the points are not what the run began with"),
-    (|gallery| _ = gallery.views.pop(), |_| (), "photo gallery_009.png, which the run began with, is not there"),
+    (
+        |gallery| _ = gallery.views.pop(),
+        |_| (),
+        "photo gallery_009.png, which the run began with, is not there",
+    ),
     (
         |gallery| {
             let mut another = gallery.views[9].clone();
@@ -141,8 +156,10 @@ const CASES: [Case; 11] = [
 fn a_run_is_not_resumed_with_another_scene_than_it_began_with() {
     let place = tempfile::tempdir().unwrap();
     let [run, scene] = Stopped::copy(&place);
-    let kept =
-        || ["config.toml", "inputs.json", "checkpoint/latest.checkpoint"].map(|name| fs::read(run.join(name)).unwrap());
+    let kept = || {
+        ["config.toml", "inputs.json", "checkpoint/latest.checkpoint"]
+            .map(|name| fs::read(run.join(name)).unwrap())
+    };
     let before = kept();
     for (change, change_folder, words) in CASES {
         let mut gallery = GALLERY.clone();
@@ -197,8 +214,8 @@ fn a_checkpoint_of_another_run_is_refused_by_what_differs() {
             &[],
             "latest.checkpoint is of another run than config.toml beside it (seed is 3 there and 0 here)",
         ),
-        (&scene, "0", &["--evolve", "off"], "(evolution.mode is \"off\" there and \"renew\" here)"),
-        (&scene, "0", &["--variant", "mcmc"], "(variant is \"mcmc\" there and \"3dgs\" here)"),
+        (&scene, "0", &["--method", "3dgs", "--genetic"], "(genetic."),
+        (&scene, "0", &["--method", "mcmc"], "(method."),
         (&scene, "0", &["--max-side", "32"], "(dataset.max_side is 32 there and not set here)"),
     ];
     let checkpoint = "checkpoint/latest.checkpoint";
@@ -231,7 +248,7 @@ fn who_looks_at_a_splat_hears_that_its_photos_are_others_now() {
     let commands: [&[&str]; 4] = [
         &["evaluate", text(&out), "--no-lpips"],
         &["render", text(&out), "--split", "all", "--out", text(&pictures)],
-        &["refine", text(&out), "--iterations", "1", "--evolve", "off", "--out", text(&refined)],
+        &["refine", text(&out), "--iterations", "1", "--out", text(&refined)],
         &["convert", text(&out), "--data", text(&scene), "--out", text(&refined)],
     ];
     let splat = cloud(&out);
@@ -243,9 +260,11 @@ fn who_looks_at_a_splat_hears_that_its_photos_are_others_now() {
         for command in commands {
             let output = run(command.iter().chain(&["--device", "cpu"]));
             let stderr = String::from_utf8(output.stderr).unwrap();
-            let notice =
-                "notice: the pose of photo gallery_001.png is not what the run began with (the first of 2 changes";
-            assert!(output.status.success() && stderr.contains(notice) == is_changed, "{command:?}: {stderr}");
+            let notice = "notice: the pose of photo gallery_001.png is not what the run began with (the first of 2 changes";
+            assert!(
+                output.status.success() && stderr.contains(notice) == is_changed,
+                "{command:?}: {stderr}"
+            );
             assert!(is_changed || !stderr.contains("began with"), "{stderr}");
         }
     }

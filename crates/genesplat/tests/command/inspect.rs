@@ -9,7 +9,8 @@ use crate::support::{copy_scene, fail, json, number, run, scene, succeed, text, 
 /// What the report says under `name`.
 fn fact(report: &Value, name: &str) -> Value {
     let facts = report["facts"].as_array().unwrap();
-    facts.iter().find(|fact| fact["name"] == name).unwrap_or_else(|| panic!("no {name} in {report}"))["value"].clone()
+    facts.iter().find(|fact| fact["name"] == name).unwrap_or_else(|| panic!("no {name} in {report}"))["value"]
+        .clone()
 }
 
 #[test]
@@ -44,7 +45,10 @@ fn what_a_scene_lacks_looks_wrong() {
     fs::remove_file(folder.path().join("images/gallery_003.png")).unwrap();
     let output = run(["inspect", text(folder.path())]);
     let [said, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    assert!(said.contains("look at: 1 of the 12 photos that") && !said.contains("nothing looks wrong"), "{said}");
+    assert!(
+        said.contains("look at: 1 of the 12 photos that") && !said.contains("nothing looks wrong"),
+        "{said}"
+    );
     assert!(!errors.contains("of the 12 photos"), "told twice: {errors}");
 }
 

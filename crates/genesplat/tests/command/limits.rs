@@ -50,8 +50,13 @@ struct Growing {
 impl Growing {
     const POINTS: u32 = 2000;
     /// 150 steps; it grows after 100.
-    const SCHEDULE: [&str; 5] =
-        ["--iterations=15000", "--steps-scale=0.01", "--max-gaussians=20000", "--checkpoint-every=0", "--method=3dgs"];
+    const SCHEDULE: [&str; 5] = [
+        "--iterations=15000",
+        "--steps-scale=0.01",
+        "--max-gaussians=20000",
+        "--checkpoint-every=0",
+        "--method=3dgs",
+    ];
 
     fn new(place: &Path) -> Self {
         let this = Self { scene: place.join("scene"), whole: place.join("whole") };
@@ -67,8 +72,8 @@ impl Growing {
         train(&self.scene, out, &[&Self::SCHEDULE[..], &["--threads", "1", "--no-lpips"]].concat())
     }
 
-    /// What a run within `limit` MiB of addresses says last; nothing if it came to its end. What is left of it comes to
-    /// the same bytes without a limit.
+    /// What a run within `limit` MiB of addresses says last; nothing if it came to its end. What is left of
+    /// it comes to the same bytes without a limit.
     fn within(&self, limit: u32, out: &Path) -> Option<String> {
         let mut arguments = self.arguments(out);
         let mut run = limited(&format!("-v {}", limit * 1024), &command(&arguments));
@@ -78,7 +83,10 @@ impl Growing {
         let last = (!output.status.success()).then(|| said.lines().last().unwrap_or_default().to_owned());
         if let Some(last) = &last {
             assert_eq!(output.status.code(), Some(1), "{limit} MiB: {said}");
-            assert!(last.starts_with("error: ") || last.starts_with("memory allocation of"), "{limit} MiB: {said}");
+            assert!(
+                last.starts_with("error: ") || last.starts_with("memory allocation of"),
+                "{limit} MiB: {said}"
+            );
             assert!(!said.contains("bug in genesplat"), "{limit} MiB: {said}");
             advance(&mut arguments, &|arguments| command(arguments), |_| false);
         }
@@ -112,18 +120,20 @@ fn a_machine_without_memory_is_a_sentence_and_a_run_that_goes_on() {
     assert!(resumed.count() > 0, "none was under way: {said:#?}");
 }
 
-/// Stacks of 300 MiB: the fourth finds no addresses, and the threads that run by then have room for what they allocate.
-/// (With stacks of the usual size, a thread may be the one that finds no memory.)
+/// Stacks of 300 MiB: the fourth finds no addresses, and the threads that run by then have room for what they
+/// allocate. (With stacks of the usual size, a thread may be the one that finds no memory.)
 #[test]
 fn a_thread_that_cannot_be_started_is_a_sentence() {
     let place = tempfile::tempdir().unwrap();
     let arguments = train(scene(), &place.path().join("out"), &["--threads", "1000"]);
     let mut run = limited("-v 1100000", &command(&arguments));
-    let output = run.env("RUST_MIN_STACK", (300 << 20).to_string()).env("MALLOC_ARENA_MAX", "1").output().unwrap();
+    let output =
+        run.env("RUST_MIN_STACK", (300 << 20).to_string()).env("MALLOC_ARENA_MAX", "1").output().unwrap();
     judge_failure(output, &["cannot start 1000 threads", "fewer --threads"]);
 }
 
-/// A splat as large as what a process has beside it, so that each of its copies may be the one that finds no memory.
+/// A splat as large as what a process has beside it, so that each of its copies may be the one that finds no
+/// memory.
 #[test]
 fn a_splat_that_is_larger_than_memory_is_a_sentence() {
     let place = tempfile::tempdir().unwrap();
@@ -158,7 +168,8 @@ fn a_splat_that_is_larger_than_memory_is_a_sentence() {
     }
 }
 
-/// The same of the threads that listen to a program: with stacks of 300 MiB, and room for one more of them each time.
+/// The same of the threads that listen to a program: with stacks of 300 MiB, and room for one more of them
+/// each time.
 #[test]
 fn a_thread_that_cannot_listen_to_a_program_is_a_sentence() {
     let place = tempfile::tempdir().unwrap();

@@ -34,7 +34,8 @@ impl Served {
 
     fn page(&self) -> WebSocket<TcpStream> {
         let host = self.url.split('/').nth(2).unwrap();
-        let mut request = format!("ws{}socket", self.url.strip_prefix("http").unwrap()).into_client_request().unwrap();
+        let mut request =
+            format!("ws{}socket", self.url.strip_prefix("http").unwrap()).into_client_request().unwrap();
         request.headers_mut().insert("origin", format!("http://{host}").parse().unwrap());
         let stream = TcpStream::connect(host).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
@@ -42,7 +43,9 @@ impl Served {
     }
 
     pub(crate) fn interrupt(&self) {
-        assert!(Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success());
+        assert!(
+            Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success()
+        );
     }
 
     /// The exit status.
@@ -224,5 +227,8 @@ fn a_finished_run_and_a_bare_splat_are_shown_until_ctrl_c() {
     fail(["view", text(Path::new("absent.ply"))], &["absent.ply", "does not exist"]);
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
-    fail(["view", text(&splat), "--device", "cpu", "--view-address", &address], &[&address, "--view-address"]);
+    fail(
+        ["view", text(&splat), "--device", "cpu", "--view-address", &address],
+        &[&address, "--view-address"],
+    );
 }

@@ -1,5 +1,5 @@
-//! LPIPS: against the authors' own figures where the weights are at hand; and weights that are partial, wrong or
-//! absent.
+//! LPIPS: against the authors' own figures where the weights are at hand; and weights that are partial, wrong
+//! or absent.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -44,16 +44,21 @@ fn is_small(pair: &Value) -> bool {
     pair["size"] == serde_json::json!([64, 64])
 }
 
-/// The worst distance from the authors' figures, over these pairs and all layers; and in the other convention, of whose figures
-/// only those for VGG16 are known, over the small pairs and one more: to both, all but the range of the pixels is common.
+/// The worst distance from the authors' figures, over these pairs and all layers; and in the other
+/// convention, of whose figures only those for VGG16 are known, over the small pairs and one more: to both,
+/// all but the range of the pixels is common.
 fn worst_error(folder: &Path, metric: &Lpips, pairs: &[Value]) -> f64 {
     let name = metric.net().name();
     let mut worst = 0f64;
     for pair in pairs {
-        let [a, b] = ["a", "b"].map(|key| read_photo(&folder.join("pairs").join(pair[key].as_str().unwrap())).unwrap());
+        let [a, b] = ["a", "b"]
+            .map(|key| read_photo(&folder.join("pairs").join(pair[key].as_str().unwrap())).unwrap());
         let layers = metric.layers(&a, &b, InputRange::MinusOneToOne).unwrap();
-        let mut errors: Vec<f64> =
-            layers.iter().zip(figures(&pair[format!("{name}_per_layer")])).map(|(a, b)| (a - b).abs()).collect();
+        let mut errors: Vec<f64> = layers
+            .iter()
+            .zip(figures(&pair[format!("{name}_per_layer")]))
+            .map(|(a, b)| (a - b).abs())
+            .collect();
         errors.push((layers.iter().sum::<f64>() - pair[name].as_f64().unwrap()).abs());
         if metric.net() == Net::Vgg16 && (is_small(pair) || pair["b"] == "bonsai_b.png") {
             let published = pair["vgg16_inputs01_as_inria_metrics_py"].as_f64().unwrap();
@@ -170,7 +175,8 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     let picture = out.join("test").join(Path::new(name).with_extension("png"));
     let Photo { width, height, .. } = read_photo(&picture).unwrap();
     let photo = folder.path().join("photo.png");
-    write_png(&photo, &resize(&read_photo(&scene().join("images").join(name)).unwrap(), width, height)).unwrap();
+    write_png(&photo, &resize(&read_photo(&scene().join("images").join(name)).unwrap(), width, height))
+        .unwrap();
     let compared = folder.path().join("compared.json");
     in_cache(&["evaluate", text(&picture), text(&photo), "--json", text(&compared)]);
     let distances = json(&compared)["lpips_by_network"]["vgg16"].clone();
@@ -184,7 +190,8 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     assert!(json(&file)["lpips"].is_null() && !said.contains("LPIPS"), "{said}");
     // The variable and the flag win over the cache folder.
     let nowhere = folder.path().join("nowhere");
-    let output = command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", &nowhere).output().unwrap();
+    let output =
+        command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", &nowhere).output().unwrap();
     assert!(String::from_utf8_lossy(&output.stderr).contains("no LPIPS weights at"));
     // Set to nothing, it is not set.
     let output = command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", "").output().unwrap();
@@ -195,8 +202,8 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "the same weights in two files");
 }
 
-/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, has a whole splat, and can have
-/// it scored without another step.
+/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, has a whole splat, and
+/// can have it scored without another step.
 #[cfg(unix)]
 #[test]
 fn scoring_is_stopped_between_photos() {

@@ -1,4 +1,5 @@
-//! Forty natural mistakes: each works all the same, or gets one sentence that says what, where, and what to do.
+//! Forty natural mistakes: each works all the same, or gets one sentence that says what, where, and what to
+//! do.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -76,7 +77,9 @@ impl Place {
     }
 
     fn evaluates(&self, splat: &str) -> Vec<String> {
-        ["evaluate", text(&self.at(splat)), "--data", text(scene()), "--device", "cpu"].map(str::to_owned).into()
+        ["evaluate", text(&self.at(splat)), "--data", text(scene()), "--device", "cpu"]
+            .map(str::to_owned)
+            .into()
     }
 }
 
@@ -246,7 +249,10 @@ fn what_was_given_is_not_quite_a_scene() {
             Says(&["run is the folder of a run", "give the folder of a scene"]),
         ),
         (|place| train(&place.at("scene"), &place.at("scene"), &[]), Says(&["is the folder of the scene"])),
-        (|place| train(&place.at("scene"), &place.at("scene/images"), &[]), Says(&["lies in images/ of the scene"])),
+        (
+            |place| train(&place.at("scene"), &place.at("scene/images"), &[]),
+            Says(&["lies in images/ of the scene"]),
+        ),
         (
             |place| train(&place.at("scene"), &place.at("scene/sparse/run"), &[]),
             Says(&["lies in sparse/ of the scene"]),
@@ -424,7 +430,10 @@ fn a_model_or_a_splat_is_not_quite_one() {
         ),
         (
             |place| {
-                place.write("points.ply", MESH.replace("element face 0\nproperty list uchar int vertex_indices\n", ""));
+                place.write(
+                    "points.ply",
+                    MESH.replace("element face 0\nproperty list uchar int vertex_indices\n", ""),
+                );
                 place.evaluates("points.ply")
             },
             Says(&["points.ply is a point cloud", "give a splat"]),

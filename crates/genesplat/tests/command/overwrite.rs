@@ -103,7 +103,8 @@ fn a_picture_may_be_rendered_again_and_its_name_says_how_it_is_written() {
     };
     let [(png, exact), (jpeg, close)] = ["a.png", "a.JPG"].map(written);
     let bitmap = place.path().join("a.bmp");
-    let render = ["render", text(&run), "--data", text(scene()), "--image", "gallery_000", "--out", text(&bitmap)];
+    let render =
+        ["render", text(&run), "--data", text(scene()), "--image", "gallery_000", "--out", text(&bitmap)];
     fail(render, &["a.bmp", "end it in .png or .jpg"]);
     assert!(png.starts_with(b"\x89PNG") && jpeg.starts_with(&[0xFF, 0xD8, 0xFF]));
     assert_eq!(exact, read_photo(&run.join("test/gallery_000.png")).unwrap());

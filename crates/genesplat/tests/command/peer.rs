@@ -5,8 +5,8 @@ use genesplat::io::photos::read_photo;
 
 use crate::support::{real_data, succeed, text};
 
-/// Why `picture` is not `reference`, if it is not: 99.9 % of the values may differ by one step of 255, none by more
-/// than two.
+/// Why `picture` is not `reference`, if it is not: 99.9 % of the values may differ by one step of 255, none
+/// by more than two.
 fn difference(picture: &Photo, reference: &Photo) -> Result<(), String> {
     if (picture.width, picture.height) != (reference.width, reference.height) {
         return Err(format!("{}x{} pixels", picture.width, picture.height));

@@ -32,7 +32,10 @@ fn a_run_keeps_the_photos_that_it_was_told_to_hold_out() {
     let renders = folder.path().join("renders");
     succeed(["render", text(&run), "--data", text(scene()), "--split", "test", "--out", text(&renders)]);
     assert_eq!(fs::read_dir(&renders).unwrap().count(), 3);
-    fail(evaluate(&run, &["--test-every", "8"]), &["gallery_008.png is a test photo", "was none when the run"]);
+    fail(
+        evaluate(&run, &["--test-every", "8"]),
+        &["gallery_008.png is a test photo", "was none when the run"],
+    );
     let again = folder.path().join("again");
     succeed(train(scene(), &again, &["--config", text(&run.join("config.toml"))]));
     assert_eq!(tested(&again), tested(&run));
@@ -61,7 +64,8 @@ fn photos_are_held_out_by_name_or_not_at_all() {
     fail(evaluate(&other, &[]), &["no test photos", "--split train"]);
 }
 
-/// The bundled scene, of which the right half of each photo is hidden, and `behind` the masks if that is a grey.
+/// The bundled scene, of which the right half of each photo is hidden, and `behind` the masks if that is a
+/// grey.
 fn write_half_hidden(scene: &Path, behind: Option<u8>) {
     write_masked(scene, |x, width| x >= width / 2, behind);
 }
@@ -183,7 +187,10 @@ fn a_limit_of_gaussians_holds_from_the_first_step_on() {
     let run = folder.path().join("run");
     let output = crate::support::run(train(scene(), &run, &["--iterations", "3", "--max-gaussians", "90"]));
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && said.contains("thinned evenly to the limit of 90 Gaussians"), "{said}");
+    assert!(
+        output.status.success() && said.contains("thinned evenly to the limit of 90 Gaussians"),
+        "{said}"
+    );
     let gaussians = number(&json(&run.join("metrics.json"))["gaussians"]);
     assert!((45.0..=90.0).contains(&gaussians), "{gaussians}");
 }

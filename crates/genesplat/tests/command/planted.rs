@@ -1,4 +1,5 @@
-//! Code that lies in the folder of the photos, under names that genesplat, or what it starts, looks for: none of it runs.
+//! Code that lies in the folder of the photos, under names that genesplat, or what it starts, looks for: none
+//! of it runs.
 
 use std::ffi::OsString;
 use std::fs;
@@ -71,8 +72,8 @@ impl Planted {
         fs::write(own.join("PIL/__init__.py"), "").unwrap();
         let photo = scene().join("images/gallery_000.png");
         let image = format!(
-            "import shutil\nclass Image:\n    info = {{}}\n    def convert(self, _): return self\n    \
-             def save(self, to, *_, **__): shutil.copy({:?}, to)\ndef open(_): return Image()\n",
+            "import io, shutil\nclass Image:\n    info = {{}}\n    def convert(self, _): return self\n    \
+             def save(self, to, *_, **__): shutil.copyfileobj(io.open({:?}, 'rb'), to)\ndef open(_): return Image()\n",
             text(&photo)
         );
         fs::write(own.join("PIL/Image.py"), image).unwrap();
@@ -112,7 +113,8 @@ fn code_in_the_folder_of_the_photos_does_not_run() {
     fs::write(planted.photos.join("gallery_000.HEIC"), "x").unwrap();
     fs::remove_file(planted.photos.join("gallery_000.png")).unwrap();
     let path = path();
-    let found = planted.run(&["poses", ".", "--out", "../scene"], &path.iter().map(|path| &**path).collect::<Vec<_>>());
+    let found = planted
+        .run(&["poses", ".", "--out", "../scene"], &path.iter().map(|path| &**path).collect::<Vec<_>>());
     assert_eq!(planted.ran(), "", "{}", said(&found));
     assert!(found.status.success() && said(&found).contains("pycolmap pretended"), "{}", said(&found));
     assert!(planted.place.path().join("scene/images/gallery_000.HEIC.jpg").exists());
@@ -140,8 +142,18 @@ fn programs_in_the_folder_of_the_photos_do_not_run() {
     }
     let run = planted.place.path().join("run");
     succeed(train(scene(), &run, &["--iterations", "40"]));
-    let render =
-        ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit", "--out", "../x.mp4"];
+    let render = [
+        "render",
+        text(&run),
+        "--data",
+        text(scene()),
+        "--device",
+        "cpu",
+        "--path",
+        "orbit",
+        "--out",
+        "../x.mp4",
+    ];
     judge_failure(planted.run(&render, &[]), &["there is no ffmpeg on the PATH"]);
     assert_eq!(planted.ran(), "");
 }

@@ -53,8 +53,15 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
     assert!(first.status.success(), "{}", said(&first));
     let summary = json(&found.join("poses/summary.json"));
     assert!(number(&summary["registered"]) >= 10.0, "{summary}");
-    assert!(number(&summary["points"]) > 300.0 && number(&summary["reprojection_error_px"]) < 1.0, "{summary}");
-    assert!(said(&first).contains("of 12 photos") && said(&first).contains("genesplat train"), "{}", said(&first));
+    assert!(
+        number(&summary["points"]) > 300.0 && number(&summary["reprojection_error_px"]) < 1.0,
+        "{summary}"
+    );
+    assert!(
+        said(&first).contains("of 12 photos") && said(&first).contains("genesplat train"),
+        "{}",
+        said(&first)
+    );
 
     let model = read_model(&find_model(&found).unwrap()).unwrap();
     assert!(model.images.iter().any(|image| image.name.starts_with("01.")), "the HEIC photo has no camera");
@@ -127,7 +134,8 @@ fn turntable(photos: &Path) {
             let [y, z] = [0.94 * y - 0.34 * z, 0.34 * y + 0.94 * z];
             let at = [cos * x + sin * z, y, cos * z - sin * x];
             let octaves = [(6.0, 0.5), (13.0, 0.3), (27.0, 0.2)];
-            let value: f64 = octaves.map(|(scale, weight)| weight * noise(at.map(|x| 50.0 + scale * x))).iter().sum();
+            let value: f64 =
+                octaves.map(|(scale, weight)| weight * noise(at.map(|x| 50.0 + scale * x))).iter().sum();
             (230.0 * (2.0 * value - 0.5).clamp(0.0, 1.0)) as u8
         };
         let rgb = (0..SIDE * SIDE).flat_map(|index| [shade(index); 3]).collect();
@@ -143,14 +151,16 @@ fn noise(at: [f64; 3]) -> f64 {
             let (bit, part) = (bits >> axis & 1, x.fract());
             let smooth = part * part * (3.0 - 2.0 * part);
             weight *= if bit == 1 { smooth } else { 1.0 - smooth };
-            hash = (hash ^ (x as u32 + bit)).wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca77);
+            hash =
+                (hash ^ (x as u32 + bit)).wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca77);
         }
         weight * f64::from(hash >> 8) / f64::from(1 << 24)
     };
     (0..8).map(corner).sum()
 }
 
-/// Of such photos nothing tells the height of a pixel from its width, and hardly anything a lens that bends from one that is long.
+/// Of such photos nothing tells the height of a pixel from its width, and hardly anything a lens that bends
+/// from one that is long.
 #[test]
 fn what_stands_on_a_turntable_keeps_its_shape() {
     let folder = tempfile::tempdir().unwrap();
@@ -160,15 +170,18 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
     let output = with_python(&python, &["poses", text(&photos), "--out", text(&found)]);
     assert!(output.status.success(), "{}", said(&output));
     let model = read_model(&find_model(&found).unwrap()).unwrap();
-    let [camera] = model.cameras.values().copied().collect::<Vec<_>>()[..] else { panic!("one camera took them") };
+    let [camera] = model.cameras.values().copied().collect::<Vec<_>>()[..] else {
+        panic!("one camera took them")
+    };
     let [width, height] = camera.focal_px;
     assert_eq!((model.images.len(), width), (18, height), "{camera:?}");
-    // Of 26 seeds of COLMAP 25 are at most 5 % off, one is 21 %; with a second coefficient from the start it was 35 %, with a focal
-    // length for each direction more.
+    // Of 26 seeds of COLMAP 25 are at most 5 % off, one is 21 %; with a second coefficient from the start it
+    // was 35 %, with a focal length for each direction more.
     assert!((0.75..1.33).contains(&(width / TURNTABLE_FOCAL_PX)), "{camera:?}");
 }
 
-/// Stands for a Python with pycolmap: it finds the cameras that the gallery has, and does `before_matching` where others match.
+/// Stands for a Python with pycolmap: it finds the cameras that the gallery has, and does `before_matching`
+/// where others match.
 #[cfg(unix)]
 pub(crate) fn pretended_python(folder: &Path, before_matching: &str) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
@@ -210,7 +223,11 @@ fn a_search_that_was_stopped_goes_on_with_the_next_stage() {
     assert!(found.join("poses/features.done").exists() && !found.join("poses/matches.done").exists());
     let rest = with_python(&python, &arguments);
     assert!(rest.status.success() && said(&rest).contains("features: done already"), "{}", said(&rest));
-    assert!(!said(&rest).contains("matches: done already") && said(&rest).contains("of 12 photos"), "{}", said(&rest));
+    assert!(
+        !said(&rest).contains("matches: done already") && said(&rest).contains("of 12 photos"),
+        "{}",
+        said(&rest)
+    );
 }
 
 /// What is corrected needs no other folder.
@@ -254,7 +271,11 @@ fn a_search_that_crashes_once_is_begun_again() {
     let once = format!("[ -e '{mark}' ] || {{ : >'{mark}'; kill -SEGV $$; }}", mark = text(&mark));
     let output = poses(&folder.path().join("scene"), &once);
     assert!(output.status.success() && mark.exists(), "{}", said(&output));
-    assert!(said(&output).contains("the search for matches crashed, and is begun once more"), "{}", said(&output));
+    assert!(
+        said(&output).contains("the search for matches crashed, and is begun once more"),
+        "{}",
+        said(&output)
+    );
     let twice = poses(&folder.path().join("other"), "kill -SEGV $$");
     judge_failure(twice, &["python has failed", "said nothing"]);
 }
@@ -275,13 +296,22 @@ fn a_video_is_photos_too() {
     let rest = std::env::var_os("PATH").unwrap();
     let path = std::env::join_paths([programs.clone()].into_iter().chain(std::env::split_paths(&rest)));
     let run = folder.path().join("run");
-    let output =
-        command(["train", "--poses", text(&video), "--out", text(&run), "--iterations", "20", "--max-side", "120"])
-            .args(["--device", "cpu"])
-            .env("GENESPLAT_PYTHON", &python)
-            .env("PATH", path.as_ref().unwrap())
-            .output()
-            .unwrap();
+    let output = command([
+        "train",
+        "--poses",
+        text(&video),
+        "--out",
+        text(&run),
+        "--iterations",
+        "20",
+        "--max-side",
+        "120",
+    ])
+    .args(["--device", "cpu"])
+    .env("GENESPLAT_PYTHON", &python)
+    .env("PATH", path.as_ref().unwrap())
+    .output()
+    .unwrap();
     assert!(output.status.success(), "{}", said(&output));
     let summary = json(&run.join("scene/poses/summary.json"));
     assert_eq!(number(&summary["photos"]), 12.0, "all frames of a short video");
@@ -301,8 +331,8 @@ fn a_video_is_photos_too() {
         .output()
         .unwrap();
     assert!(said(&searched).contains("3 photos;"), "{}", said(&searched));
-    let [before, after] =
-        [photos.join("00.png"), scene.join("images/frame_0001.jpg")].map(|file| mean(&read_photo(&file).unwrap()));
+    let [before, after] = [photos.join("00.png"), scene.join("images/frame_0001.jpg")]
+        .map(|file| mean(&read_photo(&file).unwrap()));
     assert!((before - after).abs() < 5.0, "{before} became {after}");
 }
 
@@ -349,9 +379,15 @@ fn what_is_missing_is_said_in_a_sentence() {
         .output()
         .unwrap();
     judge_failure(no_ffmpeg, &["pip install pycolmap"]);
-    assert!(!out.join("images").exists() && !out.join("poses/source.json").exists(), "the next search begins anew");
+    assert!(
+        !out.join("images").exists() && !out.join("poses/source.json").exists(),
+        "the next search begins anew"
+    );
     let bare = folder.path().join("bare");
     fs::create_dir(&bare).unwrap();
     fs::copy(photos.join("gallery_000.png"), bare.join("a.png")).unwrap();
-    fail(["train", text(&bare), "--out", text(&other)], &["1 photo and no cameras", "genesplat poses", "--poses"]);
+    fail(
+        ["train", text(&bare), "--out", text(&other)],
+        &["1 photo and no cameras", "genesplat poses", "--poses"],
+    );
 }

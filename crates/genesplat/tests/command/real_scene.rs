@@ -10,9 +10,21 @@ const GAUSSIANS: f64 = 34_345.0;
 fn the_published_trainer_keeps_its_figures() {
     let Some(data) = real_data() else { return };
     let folder = tempfile::tempdir().unwrap();
-    // 700 steps with two resets of opacities and pruning by size after them. With reset_opacity = 0.9, or without resets, it ends at
+    // 700 steps with two resets of opacities and pruning by size after them. With reset_opacity = 0.9, or
+    // without resets, it ends at
     // 29.4 dB and 37,000 Gaussians or more; with prune_size = 1e-9 none is left.
-    let flags = ["--method", "3dgs", "--max-side", "64", "--steps-scale", "0.1", "--iterations", "7000", "--seed", "0"];
+    let flags = [
+        "--method",
+        "3dgs",
+        "--max-side",
+        "64",
+        "--steps-scale",
+        "0.1",
+        "--iterations",
+        "7000",
+        "--seed",
+        "0",
+    ];
     succeed(train(&data.join("fox"), folder.path(), &flags));
     let metrics = json(&folder.path().join("metrics.json"));
     let (psnr, gaussians) = (number(&metrics["test"]["psnr"]), number(&metrics["gaussians"]));

@@ -42,7 +42,13 @@ pub(crate) fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str
 }
 
 /// The same, with something done to the folder just before.
-fn meddle_and_signal(command: &mut Command, out: &Path, sign: &str, signal: &str, meddle: impl FnOnce()) -> Output {
+fn meddle_and_signal(
+    command: &mut Command,
+    out: &Path,
+    sign: &str,
+    signal: &str,
+    meddle: impl FnOnce(),
+) -> Output {
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let log = out.join("log.jsonl");
     let deadline = Instant::now() + Duration::from_secs(100);
@@ -122,8 +128,9 @@ fn ctrl_c_while_a_scene_is_loaded_leaves_no_folder() {
     let heard = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
     assert!(output.status.code() == Some(130) && !out.exists(), "{heard}");
     // The second, where it came before anything was loaded.
-    let is_said =
-        ["no file is left half written", "the same command goes on"].iter().any(|words| heard.contains(words));
+    let is_said = ["no file is left half written", "the same command goes on"]
+        .iter()
+        .any(|words| heard.contains(words));
     assert!(is_said && !heard.contains("is as it was"), "{heard}");
 }
 
@@ -145,7 +152,8 @@ fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
 #[test]
 fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     let folder = tempfile::tempdir().unwrap();
-    let [out, before, after, other] = ["run", "before", "after", "other"].map(|name| folder.path().join(name));
+    let [out, before, after, other] =
+        ["run", "before", "after", "other"].map(|name| folder.path().join(name));
     copy_scene(&before);
     let output = signal(&mut command(train(&before, &out, &SCHEDULE)), &out, r#""event":"step""#, "-TERM");
     assert_eq!(output.status.code(), Some(130), "SIGTERM saves, too");
@@ -156,7 +164,7 @@ fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     fs::rename(&before, &after).unwrap();
     let smaller = GalleryOptions { width: 64, height: 48, views: 10, points: 300, seed: 5 };
     gallery::generate(&smaller).write_colmap(&other).unwrap();
-    fail(train(&other, &out, &["--resume"]), &["photo gallery_000.png is not what the run began with"]);
+    fail(train(&other, &out, &["--resume"]), &["photo gallery_001.png is not what the run began with"]);
     assert!(saved == config(), "what was refused has changed nothing");
     succeed(train(&after, &out, &["--resume"]));
     assert!(String::from_utf8(config()).unwrap().contains("after"));
@@ -191,8 +199,11 @@ fn a_search_that_is_stopped_says_so_and_writes_what_it_has() {
     succeed(train(scene(), &run, &["--iterations", "3"]));
     let arguments = ["refine", text(&run), "--data", text(scene()), "--out", text(&out)];
     let search = ["--genetic", "--generations", "100000"];
-    let mut child =
-        command(arguments.iter().chain(&search)).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut child = command(arguments.iter().chain(&search))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
     let mut stdout = BufReader::new(child.stdout.take().unwrap());
     assert!(stdout.by_ref().lines().any(|line| line.unwrap().starts_with("before train")));
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
@@ -210,7 +221,7 @@ fn nohup_is_respected() {
     let run = command(train(
         scene(),
         &out,
-        &["--steps-scale", "0.04", "--max-gaussians", "1200", "--evolve", "off", "--no-lpips"],
+        &["--steps-scale", "0.04", "--max-gaussians", "1200", "--method", "3dgs", "--no-lpips"],
     ));
     let mut under_nohup = Command::new("nohup");
     under_nohup.arg(run.get_program()).args(run.get_args());

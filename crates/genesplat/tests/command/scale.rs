@@ -19,7 +19,7 @@ fn write_scaled(folder: &Path, factor: f64) {
     write_model(&folder.join("sparse/0"), &model).unwrap();
 }
 
-const SCHEDULE: [&str; 6] = ["--steps-scale", "0.01", "--max-gaussians", "600", "--evolve", "off"];
+const SCHEDULE: [&str; 6] = ["--steps-scale", "0.01", "--max-gaussians", "600", "--method", "3dgs"];
 
 /// Test PSNR of the scene at ten to the power of `exponent`; both are in folders of that name.
 fn psnr_at(place: &Path, exponent: i32, more: &[&str]) -> f64 {

@@ -1,4 +1,5 @@
-//! One Ctrl-C or SIGTERM ends whatever prepares, at once and with status 130; nothing that is half written stays.
+//! One Ctrl-C or SIGTERM ends whatever prepares, at once and with status 130; nothing that is half written
+//! stays.
 
 #![cfg(target_os = "linux")]
 

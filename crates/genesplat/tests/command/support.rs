@@ -29,7 +29,8 @@ pub(crate) fn copy_scene(folder: &Path) {
     copy(scene(), folder);
 }
 
-/// The program that has this command. The laboratory's tests need the other program, too, which `cargo test` builds beside it.
+/// The program that has this command. The laboratory's tests need the other program, too, which `cargo test`
+/// builds beside it.
 pub(crate) fn program_of(command: &std::ffi::OsStr) -> PathBuf {
     let lab = match (option_env!("CARGO_BIN_EXE_genesplat"), option_env!("CARGO_BIN_EXE_genesplat-lab")) {
         (Some(program), _) => return program.into(),
@@ -44,11 +45,12 @@ pub(crate) fn program_of(command: &std::ffi::OsStr) -> PathBuf {
     beside
 }
 
-/// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of
-/// sight.
+/// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are
+/// out of sight.
 pub(crate) fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let arguments: Vec<_> = arguments.into_iter().map(|word| word.as_ref().to_owned()).collect();
-    let mut command = Command::new(program_of(arguments.first().map_or("".as_ref(), |word| word.as_os_str())));
+    let mut command =
+        Command::new(program_of(arguments.first().map_or("".as_ref(), |word| word.as_os_str())));
     command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", NOWHERE.path());
     // Mesa's choice of a device asks for a desktop, and complains on stderr where there is none.
     command.env("NODEVICE_SELECT", "1");
@@ -168,7 +170,8 @@ pub(crate) fn real_data() -> Option<PathBuf> {
 pub(crate) fn program(name: &str) -> Option<PathBuf> {
     let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
     let folders = std::env::var_os("PATH").unwrap_or_default();
-    let found = std::env::split_paths(&folders).map(|folder| folder.join(&file)).find(|program| program.is_file());
+    let found =
+        std::env::split_paths(&folders).map(|folder| folder.join(&file)).find(|program| program.is_file());
     if found.is_none() {
         assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no {name}");
         skipped(&format!("there is no {name} on the PATH"));

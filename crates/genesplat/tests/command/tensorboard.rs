@@ -39,7 +39,9 @@ fn of_log(run: &Path) -> Curves {
             curves.entry(curve.into()).or_default().extend(value.as_f64().map(|value| (iteration, value)));
         };
         match event {
-            "step" => ["loss", "gaussians", "position_rate"].iter().for_each(|curve| push(curve, &line[*curve])),
+            "step" => {
+                ["loss", "gaussians", "position_rate"].iter().for_each(|curve| push(curve, &line[*curve]))
+            }
             "test-score" => push("test_psnr", &line["psnr"]),
             "stage-end" if line["guard_psnr"].is_array() => {
                 push("guard_psnr/before", &line["guard_psnr"][0]);
@@ -57,7 +59,8 @@ fn assert_same(read: &Curves, logged: &Curves) {
     for (curve, points) in read {
         let expected = &logged[curve];
         assert_eq!(points.len(), expected.len(), "{curve}");
-        let is_near = |(a, b): (&(u64, f64), &(u64, f64))| a.0 == b.0 && (a.1 - b.1).abs() <= 1e-6 * b.1.abs();
+        let is_near =
+            |(a, b): (&(u64, f64), &(u64, f64))| a.0 == b.0 && (a.1 - b.1).abs() <= 1e-6 * b.1.abs();
         assert!(points.iter().zip(expected).all(is_near), "{curve}: {points:?} {expected:?}");
     }
 }
@@ -67,7 +70,8 @@ fn tensorboard_shows_the_curves_of_the_log_of_a_run_that_was_killed_too() {
     let Some(python) = python_with("tensorboard") else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let schedule = ["--steps-scale", "0.05", "--max-gaussians", "600", "--checkpoint-every", "150", "--tensorboard"];
+    let schedule =
+        ["--steps-scale", "0.05", "--max-gaussians", "600", "--checkpoint-every", "150", "--tensorboard"];
     // Beyond its first checkpoint, so that the resumed run repeats some iterations.
     signal(&mut command(train(scene(), &out, &schedule)), &out, "\"iteration\":250,", "-KILL");
     let killed = of_tensorboard(&python, &out);

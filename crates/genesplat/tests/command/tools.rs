@@ -8,7 +8,9 @@ use genesplat::core::Photo;
 use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::photos::{read_photo, write_png};
 
-use crate::support::{copy_scene, fail, finished_run, json, number, run, scene, succeed, text, train, without_drivers};
+use crate::support::{
+    copy_scene, fail, finished_run, json, number, run, scene, succeed, text, train, without_drivers,
+};
 
 #[test]
 fn evaluating_a_run_repeats_its_metrics() {
@@ -16,7 +18,8 @@ fn evaluating_a_run_repeats_its_metrics() {
     let (run, file) = (finished_run(), folder.path().join("scores.json"));
     let metrics = json(&run.join("metrics.json"));
     for split in ["test", "train"] {
-        let arguments = ["evaluate", text(&run), "--data", text(scene()), "--split", split, "--json", text(&file)];
+        let arguments =
+            ["evaluate", text(&run), "--data", text(scene()), "--split", split, "--json", text(&file)];
         assert!(succeed(arguments).contains("PSNR"));
         let scores = json(&file);
         assert_eq!(scores["psnr"], metrics[split]["psnr"], "at the size that the run was trained at");
@@ -25,7 +28,8 @@ fn evaluating_a_run_repeats_its_metrics() {
     }
     // The bare PLY does not know that size; given by flag, the figures are the same.
     let ply = run.join("point_cloud.ply");
-    let arguments = ["evaluate", text(&ply), "--data", text(scene()), "--max-side", "56", "--json", text(&file)];
+    let arguments =
+        ["evaluate", text(&ply), "--data", text(scene()), "--max-side", "56", "--json", text(&file)];
     succeed(arguments);
     assert_eq!(json(&file)["psnr"], metrics["test"]["psnr"]);
     // A run knows its scene, and a file does not.
@@ -69,7 +73,10 @@ fn a_run_that_has_no_splat_yet_is_named_as_such() {
     let folder = tempfile::tempdir().unwrap();
     let evaluate = ["evaluate", text(folder.path()), "--data", text(scene())];
     std::fs::copy(finished_run().join("config.toml"), folder.path().join("config.toml")).unwrap();
-    fail(evaluate, &["unfinished", "genesplat train", text(scene()), text(folder.path()), "--config", "anew"]);
+    fail(
+        evaluate,
+        &["unfinished", "genesplat train", text(scene()), text(folder.path()), "--config", "anew"],
+    );
     std::fs::create_dir(folder.path().join("checkpoint")).unwrap();
     std::fs::write(folder.path().join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
     fail(evaluate, &["unfinished", "genesplat train", "--resume goes on"]);
@@ -131,13 +138,23 @@ fn renders_are_those_of_the_evaluation() {
     succeed(["render", text(&run), "--data", text(scene()), "--split", "all", "--out", text(&all)]);
     assert_eq!(std::fs::read_dir(&all).unwrap().count(), 12);
     let one = folder.path().join("one.png");
-    succeed(["render", text(&run), "--data", text(scene()), "--image", "gallery_008.png", "--out", text(&one)]);
+    succeed([
+        "render",
+        text(&run),
+        "--data",
+        text(scene()),
+        "--image",
+        "gallery_008.png",
+        "--out",
+        text(&one),
+    ]);
     let truth = read_photo(&run.join("test/gallery_008.png")).unwrap();
     assert_eq!(read_photo(&one).unwrap(), truth);
     assert_eq!(read_photo(&all.join("gallery_008.png")).unwrap(), truth);
     let arguments = ["render", text(&run), "--data", text(scene()), "--image", "absent", "--out", text(&one)];
     fail(arguments, &["no photo called absent", "gallery_00"]);
-    let arguments = ["render", text(&run), "--data", text(scene()), "--split", "test", "--train-on-all", "--out"];
+    let arguments =
+        ["render", text(&run), "--data", text(scene()), "--split", "test", "--train-on-all", "--out"];
     fail(arguments.into_iter().chain([text(&all)]), &["has no test photos", "--split train"]);
 }
 
@@ -153,7 +170,10 @@ fn pictures_are_compared() {
     assert_eq!((&json(&file)["psnr"], &json(&file)["ssim"]), (&120.0.into(), &1.0.into()));
     let smaller = finished_run().join("test/gallery_000.png");
     fail(["evaluate", text(&a), text(&smaller)], &["64x48", "56x42"]);
-    fail(["evaluate", text(&a)], &["gallery_000.png is a picture", "give another one"]);
+    fail(
+        ["evaluate", text(&a)],
+        &["gallery_000.png is not a PLY or another splat but a picture", "a second one"],
+    );
     fail(["evaluate", text(&a)], &["gallery_000.png is not a PLY", "but a picture", "give a second one"]);
     let of_splats = run(["evaluate", text(&a), text(&a), "--max-side", "32"]);
     assert_eq!(of_splats.status.code(), Some(2), "a flag that says nothing of two pictures");
@@ -204,7 +224,8 @@ fn settings_of_a_run_refine_too_and_the_file_is_scored() {
     let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.splat"));
     for method in ["3dgs", "genesplat"] {
         let config = folder.path().join("config.toml");
-        std::fs::write(&config, format!("iterations = 300\nsteps_scale = 0.1\nmethod = \"{method}\"")).unwrap();
+        std::fs::write(&config, format!("iterations = 300\nsteps_scale = 0.1\nmethod = \"{method}\""))
+            .unwrap();
         let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
         let refined = run(arguments.iter().chain(&["--config", text(&config)]));
         let [said, told] = [refined.stdout, refined.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
@@ -370,12 +391,16 @@ fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
 #[test]
 fn devices_are_listed() {
     let said = succeed(["devices"]);
-    assert!(said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu")));
+    assert!(
+        said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu"))
+    );
 }
 
 #[test]
 fn shells_and_man_are_told_of_every_command() {
-    for (shell, sign) in [("bash", "complete -F"), ("zsh", "#compdef genesplat"), ("fish", "complete -c genesplat")] {
+    for (shell, sign) in
+        [("bash", "complete -F"), ("zsh", "#compdef genesplat"), ("fish", "complete -c genesplat")]
+    {
         let script = succeed(["man", "--completions", shell]);
         assert!(script.contains(sign) && script.contains("max-gaussians"), "{shell}: {script}");
     }
@@ -397,7 +422,10 @@ fn commands_of_earlier_versions_say_where_they_are_now() {
     ] {
         let output = run(old);
         let said = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(2) && said.lines().count() == 1 && said.contains(new), "{old:?}: {said}");
+        assert!(
+            output.status.code() == Some(2) && said.lines().count() == 1 && said.contains(new),
+            "{old:?}: {said}"
+        );
     }
     let said = String::from_utf8(run(["trian"]).stderr).unwrap();
     assert!(said.contains("unrecognized subcommand") && said.contains("train"), "{said}");

@@ -1,6 +1,8 @@
-//! A process of a run that is killed at any moment, or finds no memory: one sentence, and the last checkpoint is left.
+//! A process of a run that is killed at any moment, or finds no memory: one sentence, and the last checkpoint
+//! is left.
 //!
-//! Kills of three runs by default, of more on demand; of every third run, a process is killed when it goes on, too:
+//! Kills of three runs by default, of more on demand; of every third run, a process is killed when it goes
+//! on, too:
 //!
 //! ```text
 //! GENESPLAT_KILLS=30 cargo test --release --features genesplat/mpi --test ranks killed -- --nocapture
@@ -32,21 +34,25 @@ fn killed(child: Child, victim: usize, ranks: usize, after: Duration) -> Option<
         }
     };
     // It may have ended meanwhile.
-    let is_killed =
-        pid.is_some_and(|pid| Command::new("kill").args(["-KILL", &pid.to_string()]).status().unwrap().success());
+    let is_killed = pid.is_some_and(|pid| {
+        Command::new("kill").args(["-KILL", &pid.to_string()]).status().unwrap().success()
+    });
     let Output { status, stderr, .. } = child.wait_with_output().unwrap();
     let said = String::from_utf8(stderr).unwrap();
     assert!(status.success() || is_killed, "{said}");
     (!status.success()).then_some(said)
 }
 
-/// Mpirun says which process it was, and genesplat once what is left; before all have joined there is nothing to be said.
+/// Mpirun says which process it was, and genesplat once what is left; before all have joined there is nothing
+/// to be said.
 fn assert_told(said: &str, out: &Path) {
     assert!(said.contains(SIGKILL_OF_A_RANK), "{said}");
     let sentences: Vec<_> = said.lines().filter(|line| line.starts_with("error: ")).collect();
     match sentences[..] {
         [] => assert!(!out.join("log.jsonl").exists() || out.join("metrics.json").exists(), "{said}"),
-        [sentence] if has_checkpoint(out) => assert!(sentence.contains("the same command with --resume"), "{said}"),
+        [sentence] if has_checkpoint(out) => {
+            assert!(sentence.contains("the same command with --resume"), "{said}")
+        }
         [sentence] => assert!(sentence.contains("no checkpoint") || sentence.contains("is whole"), "{said}"),
         _ => panic!("{said}"),
     }
@@ -93,7 +99,9 @@ fn a_process_without_memory_ends_the_run_with_a_sentence() {
         wait_for_step(&out, step, &child);
         let pid = ranks_of(&child)[victim];
         let limit = format!("--as={}", addresses_of(pid) + (4 << 20));
-        assert!(Command::new("prlimit").args(["--pid", &pid.to_string(), &limit]).status().unwrap().success());
+        assert!(
+            Command::new("prlimit").args(["--pid", &pid.to_string(), &limit]).status().unwrap().success()
+        );
         let Output { status, stderr, .. } = child.wait_with_output().unwrap();
         let said = String::from_utf8(stderr).unwrap();
         let sentences: Vec<_> = said.lines().filter(|line| line.starts_with("error: ")).collect();

@@ -6,7 +6,8 @@ mod support;
 use std::process::{Command, Output};
 
 use support::{
-    cloud, genesplat, has_checkpoint, mpirun, ranks_of, scene, signal, succeed, train, undisturbed, wait_for_step,
+    cloud, genesplat, has_checkpoint, mpirun, ranks_of, scene, signal, succeed, train, undisturbed,
+    wait_for_step,
 };
 
 #[test]
@@ -64,13 +65,19 @@ fn mistakes_are_told_once() {
 fn ranks_that_have_loaded_different_things_do_not_begin() {
     let folder = tempfile::tempdir().unwrap();
     let (scene, out) = (scene(folder.path()), folder.path().join("run"));
-    for (more, says) in [("--seed=4", "rank 1 has other settings"), ("--max-side=60", "rank 1 has other settings")] {
+    for (more, says) in
+        [("--seed=4", "rank 1 has other settings"), ("--max-side=60", "rank 1 has other settings")]
+    {
         let mut command = mpirun(1, &train(&scene, &out, &[]));
-        let other: Vec<&str> = train(&scene, &out, &[]).into_iter().filter(|word| *word != "--seed=3").collect();
+        let other: Vec<&str> =
+            train(&scene, &out, &[]).into_iter().filter(|word| *word != "--seed=3").collect();
         command.args([":", "-n", "1", genesplat()]).args(other).arg(more);
         let output = command.output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success() && said.matches("error: ").count() == 1 && said.contains(says), "{said}");
+        assert!(
+            !output.status.success() && said.matches("error: ").count() == 1 && said.contains(says),
+            "{said}"
+        );
         assert!(!out.join("point_cloud.ply").exists());
     }
 }

@@ -10,8 +10,17 @@ use std::time::{Duration, Instant};
 use genesplat::gallery::{self, GalleryOptions};
 
 /// Grows, resets and averages within a few seconds.
-pub(crate) const SCHEDULE: [&str; 9] =
-    ["--steps-scale", "0.02", "--max-gaussians", "2500", "--checkpoint-every", "50", "--threads", "1", "--seed=3"];
+pub(crate) const SCHEDULE: [&str; 9] = [
+    "--steps-scale",
+    "0.02",
+    "--max-gaussians",
+    "2500",
+    "--checkpoint-every",
+    "50",
+    "--threads",
+    "1",
+    "--seed=3",
+];
 
 pub(crate) fn genesplat() -> &'static str {
     env!("CARGO_BIN_EXE_genesplat")
@@ -28,7 +37,15 @@ pub(crate) fn scene(folder: &Path) -> PathBuf {
 pub(crate) fn mpirun(ranks: usize, arguments: &[&str]) -> Command {
     let mut command = Command::new("mpirun");
     // More processes than cores: who waits gives way.
-    command.args(["--allow-run-as-root", "--oversubscribe", "--bind-to", "none", "--mca", "mpi_yield_when_idle", "1"]);
+    command.args([
+        "--allow-run-as-root",
+        "--oversubscribe",
+        "--bind-to",
+        "none",
+        "--mca",
+        "mpi_yield_when_idle",
+        "1",
+    ]);
     command.args(["-n", &ranks.to_string(), genesplat()]);
     command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
@@ -116,8 +133,11 @@ pub(crate) fn ranks_of(mpirun: &Child) -> Vec<u32> {
     let rank = |pid: u32| -> Option<(usize, u32)> {
         let variables = fs::read(format!("/proc/{pid}/environ")).ok()?;
         let text = String::from_utf8_lossy(&variables).into_owned();
-        let rank =
-            text.split('\0').find_map(|variable| variable.strip_prefix("OMPI_COMM_WORLD_RANK="))?.parse().ok()?;
+        let rank = text
+            .split('\0')
+            .find_map(|variable| variable.strip_prefix("OMPI_COMM_WORLD_RANK="))?
+            .parse()
+            .ok()?;
         Some((rank, pid))
     };
     let mut ranks: Vec<(usize, u32)> = pids.lines().filter_map(|pid| rank(pid.parse().ok()?)).collect();

@@ -45,7 +45,11 @@ impl Component {
 }
 
 /// The rows of accessor `index`, of `K` components each, or what is wrong with them.
-pub(super) fn rows<const K: usize>(document: &Document, binary: &[u8], index: usize) -> Result<Vec<[f32; K]>, String> {
+pub(super) fn rows<const K: usize>(
+    document: &Document,
+    binary: &[u8],
+    index: usize,
+) -> Result<Vec<[f32; K]>, String> {
     let accessor = document.accessors.get(index).ok_or_else(|| format!("refers to an accessor {index}"))?;
     let component = Component::parse(accessor.component_type)
         .ok_or_else(|| format!("has components of type {} in accessor {index}", accessor.component_type))?;
@@ -66,7 +70,8 @@ pub(super) fn rows<const K: usize>(document: &Document, binary: &[u8], index: us
     Ok((0..accessor.count).map(row).collect())
 }
 
-/// The bytes of an accessor from its first row, and the distance of its rows; `None` where they are not all there.
+/// The bytes of an accessor from its first row, and the distance of its rows; `None` where they are not all
+/// there.
 fn bytes<'a>(
     document: &Document,
     binary: &'a [u8],

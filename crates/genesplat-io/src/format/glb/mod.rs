@@ -1,9 +1,9 @@
 //! `.glb` with `KHR_gaussian_splatting`, Khronos's extension of glTF 2.0 for splats.
 //!
-//! A mesh primitive of points: `POSITION`, and under names that begin with `KHR_gaussian_splatting:` the rotation
-//! `(x, y, z, w)`, the standard deviations themselves (not their logarithms), the opacity from 0 to 1, and a vector
-//! `SH_DEGREE_l_COEF_n` of red, green and blue for each harmonic. Viewers that do not know the extension show points, in
-//! the colours of `COLOR_0`. All is written in full precision.
+//! A mesh primitive of points: `POSITION`, and under names that begin with `KHR_gaussian_splatting:` the
+//! rotation `(x, y, z, w)`, the standard deviations themselves (not their logarithms), the opacity from 0 to
+//! 1, and a vector `SH_DEGREE_l_COEF_n` of red, green and blue for each harmonic. Viewers that do not know
+//! the extension show points, in the colours of `COLOR_0`. All is written in full precision.
 //!
 //! glTF has y up: the half turn about x is baked into positions, rotations and harmonics.
 

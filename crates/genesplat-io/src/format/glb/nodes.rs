@@ -2,8 +2,8 @@
 
 use super::schema::{Document, Node};
 
-/// Refuses nodes that move one of the `meshes` (numbers, in order), or show it twice: turning harmonics in general is no
-/// change of signs, and a splat is read once. Meshes without a node are where they are.
+/// Refuses nodes that move one of the `meshes` (numbers, in order), or show it twice: turning harmonics in
+/// general is no change of signs, and a splat is read once. Meshes without a node are where they are.
 pub(super) fn check_in_place(document: &Document, meshes: &[usize]) -> Result<(), String> {
     let movers = movers(&document.nodes)?;
     let mut node_of: Vec<Option<usize>> = vec![None; meshes.len()];
@@ -11,7 +11,9 @@ pub(super) fn check_in_place(document: &Document, meshes: &[usize]) -> Result<()
         // A mesh that holds no splat may be anywhere.
         let Some(splat) = node.mesh.and_then(|mesh| meshes.binary_search(&mesh).ok()) else { continue };
         if let Some(first) = node_of[splat].replace(at) {
-            return Err(format!("shows its splat twice, by the nodes {first} and {at}; export it with one of them"));
+            return Err(format!(
+                "shows its splat twice, by the nodes {first} and {at}; export it with one of them"
+            ));
         }
         if let Some(mover) = movers[at] {
             return Err(format!(
@@ -29,7 +31,9 @@ fn movers(nodes: &[Node]) -> Result<Vec<Option<usize>>, String> {
         for &child in &node.children {
             let Some(parent) = parents.get_mut(child) else { continue };
             if parent.replace(at).is_some() {
-                return Err(format!("has its node {child} below two others, and glTF allows one; export it again"));
+                return Err(format!(
+                    "has its node {child} below two others, and glTF allows one; export it again"
+                ));
             }
         }
     }
@@ -42,11 +46,16 @@ fn movers(nodes: &[Node]) -> Result<Vec<Option<usize>>, String> {
         waiting.extend(nodes[at].children.iter().filter(|&&child| child < nodes.len()));
     }
     // With one parent each, nodes that no root leads to are in a ring, or below one.
-    if reached == nodes.len() { Ok(movers) } else { Err("has nodes that are below themselves; export it again".into()) }
+    if reached == nodes.len() {
+        Ok(movers)
+    } else {
+        Err("has nodes that are below themselves; export it again".into())
+    }
 }
 
 fn moves(node: &Node) -> bool {
-    let differs = |value: &Option<Vec<f64>>, identity: &[f64]| value.as_ref().is_some_and(|value| value != identity);
+    let differs =
+        |value: &Option<Vec<f64>>, identity: &[f64]| value.as_ref().is_some_and(|value| value != identity);
     let matrix: [f64; 16] = std::array::from_fn(|i| if i % 5 == 0 { 1.0 } else { 0.0 });
     differs(&node.matrix, &matrix)
         || differs(&node.translation, &[0.0; 3])
@@ -93,7 +102,10 @@ mod tests {
     fn nodes_that_are_no_tree_are_refused() {
         for (nodes, words) in [
             (json!([{"mesh": 0, "children": [0]}]), "below themselves"),
-            (json!([{"mesh": 0, "children": [1]}, {"children": [2]}, {"children": [0]}, {}]), "below themselves"),
+            (
+                json!([{"mesh": 0, "children": [1]}, {"children": [2]}, {"children": [0]}, {}]),
+                "below themselves",
+            ),
             (json!([{"children": [2]}, {"children": [2]}, {"mesh": 0}]), "node 2 below two others"),
         ] {
             let problem = check(nodes).unwrap_err();

@@ -10,8 +10,8 @@ use super::accessor::rows;
 use super::nodes::check_in_place;
 use super::schema::{Document, Primitive};
 use super::{
-    BINARY_CHUNK, COLOUR_SPACE, EXTENSION, JSON_CHUNK, KERNEL, MAGIC, OPACITY, ORDERS, POSITION, ROTATION, SCALE,
-    VERSION, harmonic,
+    BINARY_CHUNK, COLOUR_SPACE, EXTENSION, JSON_CHUNK, KERNEL, MAGIC, OPACITY, ORDERS, POSITION, ROTATION,
+    SCALE, VERSION, harmonic,
 };
 use crate::format::packing::{half_turn_about_x, log_scale, opacity_logit, word};
 use crate::format::{Decoded, FormatError, check_claim, ensure_memory};
@@ -23,7 +23,9 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
         .map_err(|error| damaged(format!("has a description that is not valid ({error})")))?;
     let is_splat = |primitive: &&Primitive| primitive.extensions.contains_key(EXTENSION);
     let meshes: Vec<usize> = (document.meshes.iter().enumerate())
-        .filter_map(|(index, mesh)| mesh.primitives.iter().any(|primitive| is_splat(&primitive)).then_some(index))
+        .filter_map(|(index, mesh)| {
+            mesh.primitives.iter().any(|primitive| is_splat(&primitive)).then_some(index)
+        })
         .collect();
     check_in_place(&document, &meshes).map_err(|problem| FormatError::unsupported(path, problem))?;
     let mut cloud = Gaussians::default();
@@ -31,7 +33,8 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
     let accessors = document.accessors.iter();
     let most = accessors.map(|accessor| accessor.count).max().unwrap_or(0).min(bytes.len());
     for primitive in document.meshes.iter().flat_map(|mesh| &mesh.primitives).filter(is_splat) {
-        check_supported(&primitive.extensions[EXTENSION]).map_err(|problem| FormatError::unsupported(path, problem))?;
+        check_supported(&primitive.extensions[EXTENSION])
+            .map_err(|problem| FormatError::unsupported(path, problem))?;
         // Of what there is, a part is moved to make room.
         ensure_memory(path, 2, cloud.len() + most)?;
         let degree = append(&mut cloud, &document, binary, primitive).map_err(damaged)?;
@@ -77,7 +80,9 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], &[u8]), String> {
 
 /// What changes the meaning of the attributes is refused.
 fn check_supported(extension: &Value) -> Result<(), String> {
-    let is = |name: &str, known: &str| extension.get(name).and_then(Value::as_str).is_none_or(|value| value == known);
+    let is = |name: &str, known: &str| {
+        extension.get(name).and_then(Value::as_str).is_none_or(|value| value == known)
+    };
     if !is("kernel", KERNEL) {
         return Err(format!(
             "uses the kernel {}, and genesplat reads {KERNEL}; export it with that",
@@ -86,16 +91,25 @@ fn check_supported(extension: &Value) -> Result<(), String> {
     }
     if !is("colorSpace", COLOUR_SPACE) {
         let space = &extension["colorSpace"];
-        return Err(format!("has colours in {space}, and genesplat reads {COLOUR_SPACE}; export it with that"));
+        return Err(format!(
+            "has colours in {space}, and genesplat reads {COLOUR_SPACE}; export it with that"
+        ));
     }
     if extension.get("extensions").and_then(Value::as_object).is_some_and(|inner| !inner.is_empty()) {
-        return Err("is compressed within glTF, which genesplat does not read; export it without, or as .spz".into());
+        return Err(
+            "is compressed within glTF, which genesplat does not read; export it without, or as .spz".into(),
+        );
     }
     Ok(())
 }
 
 /// Appends the Gaussians of a primitive; returns the degree of their harmonics.
-fn append(cloud: &mut Gaussians, document: &Document, binary: &[u8], primitive: &Primitive) -> Result<u8, String> {
+fn append(
+    cloud: &mut Gaussians,
+    document: &Document,
+    binary: &[u8],
+    primitive: &Primitive,
+) -> Result<u8, String> {
     let index = |name: &str| primitive.attributes.get(name).copied();
     let needed = |name: &str| index(name).ok_or_else(|| format!("has a splat without {name}"));
     let positions: Vec<[f32; 3]> = rows(document, binary, needed(POSITION)?)?;
@@ -118,11 +132,19 @@ fn append(cloud: &mut Gaussians, document: &Document, binary: &[u8], primitive: 
         for n in 0..orders {
             let Some(index) = index(&harmonic(degree, n)) else {
                 let whole = degree.saturating_sub(1) as u8;
-                return if n == 0 { Ok(whole) } else { Err(format!("has only some harmonics of degree {degree}")) };
+                return if n == 0 {
+                    Ok(whole)
+                } else {
+                    Err(format!("has only some harmonics of degree {degree}"))
+                };
             };
             let values: Vec<[f32; 3]> = rows(document, binary, index)?;
             if values.len() != count {
-                return Err(format!("has {count} positions, and {} values of {}", values.len(), harmonic(degree, n)));
+                return Err(format!(
+                    "has {count} positions, and {} values of {}",
+                    values.len(),
+                    harmonic(degree, n)
+                ));
             }
             for (row, value) in cloud.sh[first..].iter_mut().zip(values) {
                 row[slot..slot + 3].copy_from_slice(&value);
@@ -141,11 +163,17 @@ mod tests {
 
     #[test]
     fn what_would_be_read_wrongly_is_refused() {
-        assert_eq!(check_supported(&json!({"kernel": KERNEL, "colorSpace": COLOUR_SPACE, "extensions": {}})), Ok(()));
+        assert_eq!(
+            check_supported(&json!({"kernel": KERNEL, "colorSpace": COLOUR_SPACE, "extensions": {}})),
+            Ok(())
+        );
         for (extension, word) in [
             (json!({"kernel": "box"}), "box"),
             (json!({"kernel": KERNEL, "colorSpace": "lin_rec709_display"}), "lin_rec709_display"),
-            (json!({"kernel": KERNEL, "extensions": {"KHR_gaussian_splatting_compression_spz_2": {}}}), "compressed"),
+            (
+                json!({"kernel": KERNEL, "extensions": {"KHR_gaussian_splatting_compression_spz_2": {}}}),
+                "compressed",
+            ),
         ] {
             let problem = check_supported(&extension).unwrap_err();
             assert!(problem.contains(word) && problem.contains("export"), "{problem}");

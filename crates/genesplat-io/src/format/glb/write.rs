@@ -8,8 +8,8 @@ use genesplat_core::spherical_harmonics::coefficients;
 use serde_json::{Map, Value, json};
 
 use super::{
-    BINARY_CHUNK, COLOUR, COLOUR_SPACE, EXTENSION, JSON_CHUNK, KERNEL, MAGIC, OPACITY, ORDERS, POSITION, ROTATION,
-    SCALE, VERSION, harmonic,
+    BINARY_CHUNK, COLOUR, COLOUR_SPACE, EXTENSION, JSON_CHUNK, KERNEL, MAGIC, OPACITY, ORDERS, POSITION,
+    ROTATION, SCALE, VERSION, harmonic,
 };
 use crate::format::FormatError;
 use crate::format::packing::{byte, half_turn_about_x, normalised, rgb_from_dc, scale};
@@ -32,7 +32,8 @@ pub(in crate::format) fn encode(path: &Path, mut cloud: Gaussians) -> Result<Vec
     })
 }
 
-/// What [`add_attributes`] writes of a Gaussian: position, rotation, scales, opacity, harmonics, and four bytes of colour.
+/// What [`add_attributes`] writes of a Gaussian: position, rotation, scales, opacity, harmonics, and four
+/// bytes of colour.
 fn row_bytes(sh_degree: u8) -> usize {
     (3 + 4 + 3 + 1 + 3 * coefficients(sh_degree)) * size_of::<f32>() + 4
 }
@@ -42,7 +43,8 @@ fn add_attributes(parts: &mut Parts, cloud: &Gaussians) {
     // Positions must have bounds.
     let accessor = parts.accessors.last_mut().expect("positions have been added");
     for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
-        let of_axis = |axis: usize| cloud.positions.iter().map(|position| position[axis]).reduce(pick).unwrap_or(0.0);
+        let of_axis =
+            |axis: usize| cloud.positions.iter().map(|position| position[axis]).reduce(pick).unwrap_or(0.0);
         accessor[bound] = json!([of_axis(0), of_axis(1), of_axis(2)]);
     }
     parts.add_floats(
@@ -63,7 +65,10 @@ fn add_attributes(parts: &mut Parts, cloud: &Gaussians) {
     for (l, orders) in ORDERS.into_iter().enumerate().take(degree + 1) {
         for n in 0..orders {
             let slot = if l == 0 { 0 } else { 3 * (coefficients(l as u8 - 1) + n) };
-            parts.add_floats(&harmonic(l, n), cloud.sh.iter().map(|row| [row[slot], row[slot + 1], row[slot + 2]]));
+            parts.add_floats(
+                &harmonic(l, n),
+                cloud.sh.iter().map(|row| [row[slot], row[slot + 1], row[slot + 2]]),
+            );
         }
     }
 }
@@ -89,13 +94,18 @@ impl Parts {
     fn add_colours(&mut self, rows: impl Iterator<Item = [u8; 4]>) {
         let start = self.binary.len();
         rows.for_each(|row| self.binary.extend(row));
-        self.add(COLOUR, start, json!({ "componentType": UNSIGNED_BYTE, "type": "VEC4", "normalized": true }));
+        self.add(
+            COLOUR,
+            start,
+            json!({ "componentType": UNSIGNED_BYTE, "type": "VEC4", "normalized": true }),
+        );
     }
 
     /// Registers what has been written since `start`.
     fn add(&mut self, name: &str, start: usize, mut accessor: Value) {
         let length = self.binary.len() - start;
-        self.views.push(json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": ARRAY_BUFFER }));
+        self.views
+            .push(json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": ARRAY_BUFFER }));
         accessor["bufferView"] = json!(self.views.len() - 1);
         accessor["count"] = json!(self.count);
         self.attributes.insert(name.into(), json!(self.accessors.len()));

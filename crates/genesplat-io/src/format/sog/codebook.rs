@@ -57,8 +57,8 @@ impl Codebook {
     }
 }
 
-/// First values at equal steps of the integral of the density's cube root, which is best for many values (Panter and
-/// Dite 1951).
+/// First values at equal steps of the integral of the density's cube root, which is best for many values
+/// (Panter and Dite 1951).
 fn start(sorted: &[f32]) -> Vec<f32> {
     let (low, high) = (f64::from(sorted[0]), f64::from(sorted[sorted.len() - 1]));
     let width = ((high - low) / BINS as f64).max(f64::MIN_POSITIVE);
@@ -87,7 +87,10 @@ mod tests {
     use super::*;
 
     fn worst(codebook: &Codebook, values: &[f32]) -> f32 {
-        values.iter().map(|&v| (codebook.values[usize::from(codebook.index(v))] - v).abs()).fold(0.0, f32::max)
+        values
+            .iter()
+            .map(|&v| (codebook.values[usize::from(codebook.index(v))] - v).abs())
+            .fold(0.0, f32::max)
     }
 
     #[test]
@@ -101,13 +104,14 @@ mod tests {
         assert!(codebook.values.is_sorted());
     }
 
-    /// Most values lie close to 0, and get most of the codebook: by the cube root of the density, half the error of even
-    /// steps.
+    /// Most values lie close to 0, and get most of the codebook: by the cube root of the density, half the
+    /// error of even steps.
     #[test]
     fn dense_values_get_finer_steps() {
         let values: Vec<f32> = (-50_000..50_000).map(|i| (i as f32 / 50_000.0).powi(5)).collect();
         let codebook = Codebook::of(&values);
-        let squared: f32 = values.iter().map(|&v| (codebook.values[usize::from(codebook.index(v))] - v).powi(2)).sum();
+        let squared: f32 =
+            values.iter().map(|&v| (codebook.values[usize::from(codebook.index(v))] - v).powi(2)).sum();
         let even_steps = values.len() as f32 * (2.0f32 / 256.0).powi(2) / 12.0;
         assert!(squared < 0.6 * even_steps, "{squared} {even_steps}");
     }

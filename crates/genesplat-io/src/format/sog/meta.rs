@@ -15,7 +15,8 @@ pub(super) struct Meta {
     #[serde(default)]
     pub(super) version: u64,
     pub(super) count: u64,
-    /// Whether opacities are compensated for the screen filter, as PlayCanvas's programs said it up to splat-transform 2.
+    /// Whether opacities are compensated for the screen filter, as PlayCanvas's programs said it up to
+    /// splat-transform 2.
     #[serde(default)]
     pub(super) antialias: bool,
     /// The same, as they say it from splat-transform 3 on: [`ANTIALIASED`], or nothing.
@@ -60,8 +61,8 @@ pub(super) struct Palette {
     pub(super) files: [String; 2],
 }
 
-/// Values of a codebook. PlayCanvas's older programs wrote `null` for the first; its engine puts it one step of an even
-/// codebook before the second, and so does this.
+/// Values of a codebook. PlayCanvas's older programs wrote `null` for the first; its engine puts it one step
+/// of an even codebook before the second, and so does this.
 fn codebook<'de, D: Deserializer<'de>>(source: D) -> Result<Vec<f32>, D::Error> {
     let mut values = Vec::<Option<f32>>::deserialize(source)?;
     if let [first @ None, Some(second), .., Some(last)] = &mut values[..] {

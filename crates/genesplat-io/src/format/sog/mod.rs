@@ -1,9 +1,10 @@
-//! `.sog` ("Spatially Ordered Gaussians"), PlayCanvas's format, version 2: a ZIP file of lossless WebP pictures with a
-//! pixel for each Gaussian, and `meta.json`.
+//! `.sog` ("Spatially Ordered Gaussians"), PlayCanvas's format, version 2: a ZIP file of lossless WebP
+//! pictures with a pixel for each Gaussian, and `meta.json`.
 //!
-//! Positions have 16 bits an axis on a logarithmic scale, in two pictures. Log-scales and base colours are indices into
-//! codebooks of 256 values. Rotations are their three smallest components in a byte each, with the index of the largest
-//! in the fourth. Further harmonics are entries of a palette, whose coefficients have a codebook of their own.
+//! Positions have 16 bits an axis on a logarithmic scale, in two pictures. Log-scales and base colours are
+//! indices into codebooks of 256 values. Rotations are their three smallest components in a byte each, with
+//! the index of the largest in the fourth. Further harmonics are entries of a palette, whose coefficients
+//! have a codebook of their own.
 //!
 //! Rows are sorted along a Morton curve, so that neighbouring pixels are alike.
 
@@ -31,7 +32,8 @@ use crate::listing::COORDINATE_MAX;
 const ENTRIES_PER_LINE: usize = 64;
 /// Labels have 16 bits.
 const ENTRIES_MAX: usize = 1 << 16;
-/// A palette has an entry for so many Gaussians: twice as many entries gain less than 0.01 dB (docs/formats.md).
+/// A palette has an entry for so many Gaussians: twice as many entries gain less than 0.01 dB
+/// (docs/formats.md).
 const GAUSSIANS_PER_ENTRY: usize = 6;
 
 /// What a rotation's fourth byte adds to the index of its largest component.
@@ -40,7 +42,10 @@ const LARGEST_OFFSET: u8 = 252;
 pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
     let cloud = cloud.gather(&morton_order(&cloud.positions));
     let grid = Grid::for_gaussians(cloud.len()).ok_or_else(|| {
-        FormatError::unsupported(path, "would need larger pictures than WebP has; write a .ply, or fewer Gaussians")
+        FormatError::unsupported(
+            path,
+            "would need larger pictures than WebP has; write a .ply, or fewer Gaussians",
+        )
     })?;
     let mut archive = ArchiveWriter::default();
     let antialias = options.screen_filter != ScreenFilter::Classic;
@@ -75,12 +80,13 @@ fn write_means(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians) -> Me
     };
     // Rounded, the farthest position that is read would be beyond itself.
     let farthest = COORDINATE_MAX.ln_1p() as f32 - 1e-5;
-    let [mins, maxs] =
-        [bound(0.0, f32::min), bound(0.0, f32::max)].map(|corner| corner.map(|log| log.clamp(-farthest, farthest)));
+    let [mins, maxs] = [bound(0.0, f32::min), bound(0.0, f32::max)]
+        .map(|corner| corner.map(|log| log.clamp(-farthest, farthest)));
     let levels = |log: &[f32; 3]| -> [[u8; 2]; 3] {
         std::array::from_fn(|axis| {
             let width = f64::from(maxs[axis]) - f64::from(mins[axis]);
-            let fraction = if width > 0.0 { (f64::from(log[axis]) - f64::from(mins[axis])) / width } else { 0.0 };
+            let fraction =
+                if width > 0.0 { (f64::from(log[axis]) - f64::from(mins[axis])) / width } else { 0.0 };
             ((65535.0 * fraction).round() as u16).to_le_bytes()
         })
     };
@@ -129,7 +135,8 @@ fn write_harmonics(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians) -
     let size = cloud.len().div_ceil(GAUSSIANS_PER_ENTRY).clamp(1, ENTRIES_MAX);
     let palette = palette::build(&rows, size);
     let codebook = Codebook::of(&palette.entries.concat());
-    let lines = Grid { width: ENTRIES_PER_LINE * rest, height: palette.entries.len().div_ceil(ENTRIES_PER_LINE) };
+    let lines =
+        Grid { width: ENTRIES_PER_LINE * rest, height: palette.entries.len().div_ceil(ENTRIES_PER_LINE) };
     let entries = palette.entries.iter().flat_map(|entry| {
         entry.as_chunks::<3>().0.iter().map(|rgb| {
             let [r, g, b] = rgb.map(|value| codebook.index(value));
@@ -155,7 +162,8 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     let mut archive = Archive::open(path, bytes)?;
     let meta: Meta = archive.meta()?;
     if meta.version != meta::VERSION {
-        let problem = format!("is a .sog of version {}, and genesplat reads version 2; export it again", meta.version);
+        let problem =
+            format!("is a .sog of version {}, and genesplat reads version 2; export it again", meta.version);
         return Err(FormatError::unsupported(path, problem));
     }
     check_claim(path, meta.count, bytes.len())?;
@@ -206,9 +214,8 @@ fn read_rotations(archive: &mut Archive, quats: &Plain, count: usize) -> Result<
     let pixels = archive.pixels(&quats.files[0], count)?;
     let rotation = |(row, [a, b, c, largest]): (usize, [u8; 4])| {
         let Some(largest) = largest.checked_sub(LARGEST_OFFSET) else {
-            return Err(
-                archive.damaged(format!("has no valid rotation of Gaussian {row} ({largest} in its fourth byte)"))
-            );
+            return Err(archive
+                .damaged(format!("has no valid rotation of Gaussian {row} ({largest} in its fourth byte)")));
         };
         let three = [a, b, c].map(|level| component_of_fraction(f32::from(level) / 255.0));
         Ok(from_smallest_three(usize::from(largest), three))
@@ -216,7 +223,11 @@ fn read_rotations(archive: &mut Archive, quats: &Plain, count: usize) -> Result<
     pixels.into_iter().enumerate().map(rotation).collect()
 }
 
-fn read_harmonics(archive: &mut Archive, palette: &PaletteMeta, cloud: &mut Gaussians) -> Result<(), FormatError> {
+fn read_harmonics(
+    archive: &mut Archive,
+    palette: &PaletteMeta,
+    cloud: &mut Gaussians,
+) -> Result<(), FormatError> {
     let entries = usize::try_from(palette.count).ok().filter(|&count| count <= ENTRIES_MAX);
     let (Some(entries), 1..=3) = (entries, palette.bands) else {
         let problem = format!("has a palette of {} entries and {} bands", palette.count, palette.bands);
@@ -226,15 +237,18 @@ fn read_harmonics(archive: &mut Archive, palette: &PaletteMeta, cloud: &mut Gaus
     let lines = archive.picture(&palette.files[0])?;
     if lines.grid.width != ENTRIES_PER_LINE * rest || lines.pixels.len() < entries * rest {
         let Grid { width, height } = lines.grid;
-        let problem =
-            format!("has {width}x{height} pixels for a palette of {entries} entries with {rest} coefficients");
+        let problem = format!(
+            "has {width}x{height} pixels for a palette of {entries} entries with {rest} coefficients"
+        );
         return Err(archive.damaged(problem));
     }
     let labels = archive.pixels(&palette.files[1], cloud.len())?;
     for (row, [low, high, ..]) in labels.into_iter().enumerate() {
         let label = usize::from(u16::from_le_bytes([low, high]));
         if label >= entries {
-            return Err(archive.damaged(format!("gives Gaussian {row} the entry {label} of a palette of {entries}")));
+            return Err(
+                archive.damaged(format!("gives Gaussian {row} the entry {label} of a palette of {entries}"))
+            );
         }
         for (k, pixel) in lines.pixels[label * rest..(label + 1) * rest].iter().enumerate() {
             for channel in 0..3 {

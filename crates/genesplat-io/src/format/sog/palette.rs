@@ -1,7 +1,8 @@
-//! A palette of vectors that stand for many: the cluster with the largest error is split in two, again and again
-//! (tree-structured vector quantisation).
+//! A palette of vectors that stand for many: the cluster with the largest error is split in two, again and
+//! again (tree-structured vector quantisation).
 //!
-//! A k-means of tens of thousands of entries takes minutes; this takes a pass over the rows for each level of the tree.
+//! A k-means of tens of thousands of entries takes minutes; this takes a pass over the rows for each level of
+//! the tree.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -28,7 +29,8 @@ struct Cluster {
 /// At most `size` entries, 65,536 at most, for `rows` of one width.
 pub(super) fn build(rows: &[&[f32]], size: usize) -> Palette {
     let mut clusters = vec![cluster(rows, (0..rows.len() as u32).collect())];
-    // Largest error first; equal errors in the order of the clusters. The bits of positive floats are ordered as they are.
+    // Largest error first; equal errors in the order of the clusters. The bits of positive floats are ordered
+    // as they are.
     let key = |index: usize, cluster: &Cluster| (cluster.error.to_bits(), Reverse(index));
     let mut open = BinaryHeap::from([key(0, &clusters[0])]);
     while let Some((error, Reverse(index))) = open.pop()
@@ -60,16 +62,20 @@ fn cluster(rows: &[&[f32]], members: Vec<u32>) -> Cluster {
 
 fn mean(rows: &[&[f32]], members: &[u32]) -> Vec<f32> {
     let mut sum = vec![0.0; rows.first().map_or(0, |row| row.len())];
-    members.iter().for_each(|&row| sum.iter_mut().zip(rows[row as usize]).for_each(|(sum, value)| *sum += value));
+    members
+        .iter()
+        .for_each(|&row| sum.iter_mut().zip(rows[row as usize]).for_each(|(sum, value)| *sum += value));
     let count = members.len().max(1) as f32;
     sum.iter_mut().for_each(|value| *value /= count);
     sum
 }
 
-/// The rows of a cluster on either side of its middle: first across its longest axis, then as 2-means moves them.
+/// The rows of a cluster on either side of its middle: first across its longest axis, then as 2-means moves
+/// them.
 fn halve(rows: &[&[f32]], cluster: &Cluster) -> [Vec<u32>; 2] {
     let axis = longest_axis(rows, cluster);
-    let along = |row: &[f32]| row.iter().zip(&cluster.mean).zip(&axis).map(|((v, m), a)| (v - m) * a).sum::<f32>();
+    let along =
+        |row: &[f32]| row.iter().zip(&cluster.mean).zip(&axis).map(|((v, m), a)| (v - m) * a).sum::<f32>();
     let mut halves = divide(&cluster.rows, |row| along(rows[row as usize]) < 0.0);
     for _ in 0..HALVING_STEPS {
         let [left, right] = [mean(rows, &halves[0]), mean(rows, &halves[1])];

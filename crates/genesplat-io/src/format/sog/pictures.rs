@@ -21,8 +21,8 @@ const META_BYTES_MAX: u64 = 1 << 24;
 /// A picture may be larger than its Gaussians need, by so much: short files can claim enormous pictures.
 const SPARE_PIXELS: usize = 1 << 20;
 
-/// The file of a picture may have so many bytes, and so many more for each pixel that the picture may have: twice what
-/// pixels take that are not compressed.
+/// The file of a picture may have so many bytes, and so many more for each pixel that the picture may have:
+/// twice what pixels take that are not compressed.
 const PICTURE_BYTES: [u64; 2] = [1 << 16, 8];
 
 /// Size of a picture, px.
@@ -33,8 +33,8 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// A nearly square picture with a pixel for each Gaussian, and sides that are multiples of 4; `None` where there is
-    /// no such WebP.
+    /// A nearly square picture with a pixel for each Gaussian, and sides that are multiples of 4; `None`
+    /// where there is no such WebP.
     pub(super) fn for_gaussians(count: usize) -> Option<Self> {
         let width = ((count.max(1) as f64).sqrt().ceil() as usize).next_multiple_of(4);
         let height = count.max(1).div_ceil(width).next_multiple_of(4);
@@ -106,8 +106,9 @@ pub(super) struct Archive<'a> {
 
 impl<'a> Archive<'a> {
     pub(super) fn open(path: &'a Path, bytes: &'a [u8]) -> Result<Self, FormatError> {
-        let zip = entries::open(Cursor::new(bytes))
-            .map_err(|problem| FormatError::damaged(path, format!("is no readable ZIP file: it {problem}")))?;
+        let zip = entries::open(Cursor::new(bytes)).map_err(|problem| {
+            FormatError::damaged(path, format!("is no readable ZIP file: it {problem}"))
+        })?;
         Ok(Self { path, zip })
     }
 
@@ -124,8 +125,9 @@ impl<'a> Archive<'a> {
     /// The file `name`, which may have at most `most` bytes: a short entry can unpack to any number of them.
     fn file(&mut self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
         let path = self.path;
-        let broken =
-            |error: &dyn std::fmt::Display| FormatError::damaged(path, format!("has no readable {name} ({error})"));
+        let broken = |error: &dyn std::fmt::Display| {
+            FormatError::damaged(path, format!("has no readable {name} ({error})"))
+        };
         let file = self.zip.by_name(name).map_err(|error| broken(&error))?;
         let mut bytes = Vec::new();
         // One byte more than there may be shows whether there are more.
@@ -154,12 +156,15 @@ impl<'a> Archive<'a> {
     fn picture_for(&mut self, name: &str, count: Option<usize>) -> Result<Picture, FormatError> {
         let pixels_max = 2 * count.unwrap_or(0) + SPARE_PIXELS;
         let file = self.file(name, PICTURE_BYTES[0] + PICTURE_BYTES[1] * pixels_max as u64)?;
-        let broken = |error| FormatError::damaged(self.path, format!("has no readable picture in {name} ({error})"));
+        let broken =
+            |error| FormatError::damaged(self.path, format!("has no readable picture in {name} ({error})"));
         let mut decoder = WebPDecoder::new(Cursor::new(file)).map_err(broken)?;
         let (width, height) = decoder.dimensions();
         let grid = Grid { width: width as usize, height: height as usize };
         if grid.pixels() > pixels_max {
-            return Err(self.damaged(format!("has {width}x{height} pixels in {name}, far more than it needs")));
+            return Err(
+                self.damaged(format!("has {width}x{height} pixels in {name}, far more than it needs"))
+            );
         }
         let channels = if decoder.has_alpha() { 4 } else { 3 };
         let mut bytes = vec![0; channels * grid.pixels()];

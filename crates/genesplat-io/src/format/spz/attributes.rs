@@ -22,15 +22,15 @@ const STEPS_PER_SCALE: f32 = 16.0;
 /// Bytes of a base colour span more than black to white: 0.15 of a coefficient is a whole range.
 const COLOUR_SCALE: f32 = 0.15;
 
-/// Step of harmonics of degree 1, and of higher ones, of 256: what Niantic's own writer has by default. The file's size
-/// hangs on them; a byte could hold more.
+/// Step of harmonics of degree 1, and of higher ones, of 256: what Niantic's own writer has by default. The
+/// file's size hangs on them; a byte could hold more.
 const SH_STEPS: [i32; 2] = [8, 16];
 
 /// Magnitude of a rotation's component at `1/√2`.
 const COMPONENT_MAX: u32 = (1 << 9) - 1;
 
-/// How many binary places positions get: so many that all fit, and that details do not move visibly. `None` where even
-/// whole numbers do not fit.
+/// How many binary places positions get: so many that all fit, and that details do not move visibly. `None`
+/// where even whole numbers do not fit.
 pub(super) fn fraction_bits(cloud: &Gaussians) -> Option<u8> {
     let farthest = cloud.positions.as_flattened().iter().fold(0.0f32, |far, value| far.max(value.abs()));
     let fits = |bits: &u8| farthest * f32::from(*bits).exp2() <= POSITION_MAX;
@@ -54,8 +54,17 @@ pub(super) fn pack(header: &Header, cloud: &Gaussians) -> Attributes {
         positions: cloud.positions.as_flattened().iter().flat_map(|v| fixed(v).into_iter().take(3)).collect(),
         opacities: cloud.opacity_logits.iter().map(|&logit| byte(sigmoid(logit))).collect(),
         colours: cloud.sh.iter().flat_map(|row| row[..3].iter().map(colour)).collect(),
-        scales: cloud.log_scales.as_flattened().iter().map(|log| (16.0 * (log + 10.0)).round() as u8).collect(),
-        rotations: cloud.rotations.iter().flat_map(|&rotation| rotation_word(rotation).to_le_bytes()).collect(),
+        scales: cloud
+            .log_scales
+            .as_flattened()
+            .iter()
+            .map(|log| (16.0 * (log + 10.0)).round() as u8)
+            .collect(),
+        rotations: cloud
+            .rotations
+            .iter()
+            .flat_map(|&rotation| rotation_word(rotation).to_le_bytes())
+            .collect(),
         sh: cloud.sh.iter().flat_map(|row| sh_bytes(header, row)).collect(),
     }
 }
@@ -69,8 +78,8 @@ fn sh_bytes<'a>(header: &Header, row: &'a [f32; SH_STRIDE]) -> impl Iterator<Ite
     })
 }
 
-/// The largest component in 2 bits, and sign and magnitude of each other one in 10; components are in the order x, y,
-/// z, w.
+/// The largest component in 2 bits, and sign and magnitude of each other one in 10; components are in the
+/// order x, y, z, w.
 fn rotation_word([w, x, y, z]: [f32; 4]) -> u32 {
     let (largest, three) = smallest_three([x, y, z, w]);
     three.into_iter().fold(largest as u32, |word, component| {
@@ -110,7 +119,11 @@ pub(super) fn unpack(header: &Header, attributes: &Attributes) -> Gaussians {
         positions: positions(header, &attributes.positions),
         log_scales: triples(&attributes.scales, &|level| f32::from(level) / 16.0 - 10.0),
         rotations,
-        opacity_logits: attributes.opacities.iter().map(|&level| opacity_logit(f32::from(level) / 255.0)).collect(),
+        opacity_logits: attributes
+            .opacities
+            .iter()
+            .map(|&level| opacity_logit(f32::from(level) / 255.0))
+            .collect(),
         sh: (0..header.gaussians).map(|row| sh_row(header, base[row], &attributes.sh, row)).collect(),
         filter_3d: None,
     }

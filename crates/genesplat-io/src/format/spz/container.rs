@@ -96,12 +96,15 @@ fn parse_header(path: &Path, bytes: &[u8], file_bytes: usize) -> Result<Header, 
     };
     let (version, degree) = (header.version, header.sh_degree);
     if !(1..=4).contains(&version) {
-        let problem = format!("is an .spz of version {version}, and genesplat reads 1 to 4; export it as version 4");
+        let problem =
+            format!("is an .spz of version {version}, and genesplat reads 1 to 4; export it as version 4");
         return Err(FormatError::unsupported(path, problem));
     }
     if degree > FILE_SH_DEGREE_MAX || header.fraction_bits > 24 {
-        let problem =
-            format!("claims spherical harmonics of degree {degree} and {} binary places", header.fraction_bits);
+        let problem = format!(
+            "claims spherical harmonics of degree {degree} and {} binary places",
+            header.fraction_bits
+        );
         return Err(FormatError::damaged(path, problem));
     }
     check_claim(path, header.gaussians as u64, file_bytes)?;
@@ -118,7 +121,10 @@ fn open_gzip(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), Fo
     }
     let header = parse_header(path, &start, bytes.len())?;
     if header.version == 4 {
-        return Err(FormatError::damaged(path, "is an .spz of version 4 within gzip, which only older ones are"));
+        return Err(FormatError::damaged(
+            path,
+            "is an .spz of version 4 within gzip, which only older ones are",
+        ));
     }
     let mut attributes = <[Vec<u8>; 6]>::default();
     for (attribute, size) in attributes.iter_mut().zip(header.sizes()) {
@@ -148,7 +154,8 @@ fn open_zstd(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), Fo
     let header = parse_header(path, start, bytes.len())?;
     let (streams, table_at) = (usize::from(start[15]), word(start, 16) as usize);
     if header.version != 4 || streams != stream_count(&header) || table_at < HEADER_BYTES_V4 {
-        let problem = format!("has the header of version {} with {streams} streams from {table_at}", header.version);
+        let problem =
+            format!("has the header of version {} with {streams} streams from {table_at}", header.version);
         return Err(FormatError::damaged(path, problem));
     }
     let is_y_up = match header.flags & FLAG_EXTENSIONS {
@@ -179,12 +186,16 @@ fn open_zstd(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), Fo
 fn decompress(path: &Path, stream: usize, compressed: &[u8], size: usize) -> Result<Vec<u8>, FormatError> {
     let mut bytes = Vec::new();
     // One byte more than there should be shows whether there are more.
-    let read = zstd::Decoder::new(compressed).and_then(|decoder| decoder.take(size as u64 + 1).read_to_end(&mut bytes));
+    let read = zstd::Decoder::new(compressed)
+        .and_then(|decoder| decoder.take(size as u64 + 1).read_to_end(&mut bytes));
     match read {
-        Err(source) => Err(FormatError::damaged(path, format!("has a stream {stream} that is broken ({source})"))),
-        Ok(_) if bytes.len() != size => {
-            Err(FormatError::damaged(path, format!("has a stream {stream} of another size than {size} bytes")))
+        Err(source) => {
+            Err(FormatError::damaged(path, format!("has a stream {stream} that is broken ({source})")))
         }
+        Ok(_) if bytes.len() != size => Err(FormatError::damaged(
+            path,
+            format!("has a stream {stream} of another size than {size} bytes"),
+        )),
         Ok(_) => Ok(bytes),
     }
 }
@@ -216,8 +227,7 @@ fn frame_is_y_up(path: &Path, extensions: &[(u32, &[u8])]) -> Result<bool, Forma
                     Some(FRAME_UNSPECIFIED | FRAME_RUB) => true,
                     Some(FRAME_RDF) => false,
                     _ => {
-                        let problem =
-                            "has axes other than y up, z back and y down, z forward; export it with one of them";
+                        let problem = "has axes other than y up, z back and y down, z forward; export it with one of them";
                         return Err(FormatError::unsupported(path, problem));
                     }
                 };

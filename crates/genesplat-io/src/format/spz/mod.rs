@@ -1,8 +1,9 @@
 //! `.spz`, Niantic's format: each attribute of all Gaussians in turn, in few bits, and compressed.
 //!
-//! Versions 1 to 3 are one gzip stream of a header of 16 bytes and the attributes. Version 4 has a plain header of 32
-//! bytes, optional extensions, a table of sizes, and a zstd stream for each attribute. Version 1 has positions as half
-//! floats, later ones as fixed point with 24 bits; versions 1 and 2 have rotations in 3 bytes, later ones in 4.
+//! Versions 1 to 3 are one gzip stream of a header of 16 bytes and the attributes. Version 4 has a plain
+//! header of 32 bytes, optional extensions, a table of sizes, and a zstd stream for each attribute. Version 1
+//! has positions as half floats, later ones as fixed point with 24 bits; versions 1 and 2 have rotations in 3
+//! bytes, later ones in 4.
 //!
 //! The frame is y up, z back. Rows are sorted along a Morton curve, since neighbours compress each other.
 
@@ -90,7 +91,10 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
 
 pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
     if u32::try_from(cloud.len()).is_err() {
-        return Err(FormatError::unsupported(path, "would hold more Gaussians than .spz can count; write a .ply"));
+        return Err(FormatError::unsupported(
+            path,
+            "would hold more Gaussians than .spz can count; write a .ply",
+        ));
     }
     let mut cloud = cloud.gather(&morton_order(&cloud.positions));
     half_turn_about_x(&mut cloud);
@@ -106,5 +110,6 @@ pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Resul
         flags: if options.screen_filter == ScreenFilter::Classic { 0 } else { FLAG_ANTIALIASED },
     };
     let attributes = attributes::pack(&header, &cloud);
-    container::close(&header, &attributes).map_err(|source| FormatError::Write { path: path.to_owned(), source })
+    container::close(&header, &attributes)
+        .map_err(|source| FormatError::Write { path: path.to_owned(), source })
 }

@@ -26,8 +26,8 @@ pub struct Block {
 }
 
 impl Grid {
-    /// `columns` strips of as many points each along the longer side of the ground below `cameras`, every one of them cut into `rows`
-    /// along the shorter side.
+    /// `columns` strips of as many points each along the longer side of the ground below `cameras`, every one
+    /// of them cut into `rows` along the shorter side.
     pub fn cut(cameras: &[Camera], points: &[DVec3], [columns, rows]: [usize; 2]) -> Self {
         let ground = Ground::below(cameras, points);
         let on_ground: Vec<DVec2> = points.iter().map(|&point| ground.coordinates(point)).collect();
@@ -51,13 +51,18 @@ impl Grid {
         block.is_on_core(self.ground.coordinates(position))
     }
 
-    /// For each of `points`, the numbers of the blocks on whose core it stands, or within `margin` of the core's sides beyond.
+    /// For each of `points`, the numbers of the blocks on whose core it stands, or within `margin` of the
+    /// core's sides beyond.
     pub(super) fn near(&self, points: &[DVec3], margin: f64) -> Vec<Vec<usize>> {
         let on_ground: Vec<DVec2> = points.par_iter().map(|&point| self.ground.coordinates(point)).collect();
-        let margins: Vec<DVec2> = self.blocks.par_iter().map(|block| margin * block.sides(&on_ground)).collect();
+        let margins: Vec<DVec2> =
+            self.blocks.par_iter().map(|block| margin * block.sides(&on_ground)).collect();
         let near = |point: &DVec2| {
             let blocks = self.blocks.iter().zip(&margins).enumerate();
-            blocks.filter(|(_, (block, margins))| block.is_near(*point, **margins)).map(|(number, _)| number).collect()
+            blocks
+                .filter(|(_, (block, margins))| block.is_near(*point, **margins))
+                .map(|(number, _)| number)
+                .collect()
         };
         on_ground.par_iter().map(near).collect()
     }
@@ -76,7 +81,8 @@ impl Block {
     fn sides(&self, points: &[DVec2]) -> DVec2 {
         let mut inside = points.iter().filter(|point| self.is_on_core(**point));
         let Some(&first) = inside.next() else { return DVec2::ZERO };
-        let (low, high) = inside.fold((first, first), |(low, high), point| (low.min(*point), high.max(*point)));
+        let (low, high) =
+            inside.fold((first, first), |(low, high), point| (low.min(*point), high.max(*point)));
         high - low
     }
 }
@@ -89,7 +95,8 @@ fn holds_within([from, to]: [Option<f64>; 2], value: f64, margin: f64) -> bool {
     from.is_none_or(|from| value >= from - margin) && to.is_none_or(|to| value < to + margin)
 }
 
-/// `count` strips that cover the line, with as many of the values in each, and edges midway between two values.
+/// `count` strips that cover the line, with as many of the values in each, and edges midway between two
+/// values.
 fn strips(values: impl Iterator<Item = f64>, count: usize) -> Vec<[Option<f64>; 2]> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);

@@ -7,9 +7,11 @@ use serde::{Deserialize, Serialize};
 
 /// Cameras are held upright if the mean of their unit vectors downwards is at least as long.
 const UPRIGHT_MIN: f64 = 0.5;
-/// Points are a layer that is seen from its front if they spread along the view by less than this fraction of what they do across it.
+/// Points are a layer that is seen from its front if they spread along the view by less than this fraction of
+/// what they do across it.
 const LAYER_MAX: f64 = 0.25;
-/// What it counts that cameras look along a direction, where their centres, of a spread of 1 in all, leave several.
+/// What it counts that cameras look along a direction, where their centres, of a spread of 1 in all, leave
+/// several.
 const AHEAD: f64 = 0.01;
 
 /// Two axes of the ground, orthogonal and of length 1, world frame.
@@ -35,8 +37,8 @@ impl Ground {
     }
 }
 
-/// What is down, or up: what upright cameras say; on a flight, which looks down on a layer, the direction along which cameras spread
-/// least.
+/// What is down, or up: what upright cameras say; on a flight, which looks down on a layer, the direction
+/// along which cameras spread least.
 fn down(cameras: &[Camera], points: &[DVec3]) -> DVec3 {
     let mean = |axis: usize| {
         cameras.iter().map(|camera| camera.rotation().row(axis)).sum::<DVec3>() / cameras.len().max(1) as f64
@@ -67,7 +69,8 @@ fn spread(cameras: &[Camera]) -> DMat3 {
     if trace > 0.0 { covariance * trace.recip() } else { DMat3::ZERO }
 }
 
-/// The eigenvector of the largest eigenvalue of a symmetric matrix without negative ones, by squaring it again and again.
+/// The eigenvector of the largest eigenvalue of a symmetric matrix without negative ones, by squaring it
+/// again and again.
 fn strongest(mut matrix: DMat3) -> DVec3 {
     const SQUARINGS: u32 = 40;
     for _ in 0..SQUARINGS {
@@ -133,14 +136,16 @@ mod tests {
 
     /// Ground of 60 x 40 units with hills of 2.
     fn hills() -> Vec<DVec3> {
-        let point =
-            |nth: i32| DVec3::new(f64::from(nth % 60) - 20.0, f64::from(nth / 60), f64::from(nth * 7 % 5) / 2.0);
+        let point = |nth: i32| {
+            DVec3::new(f64::from(nth % 60) - 20.0, f64::from(nth / 60), f64::from(nth * 7 % 5) / 2.0)
+        };
         (0..2400).map(|nth| askew() * point(nth)).collect()
     }
 
     #[test]
     fn height_counts_for_nothing_and_the_longest_side_comes_first() {
-        let cameras: Vec<Camera> = (0..5).map(|nth| camera(DVec3::ZERO, looking(f64::from(nth), 0.0))).collect();
+        let cameras: Vec<Camera> =
+            (0..5).map(|nth| camera(DVec3::ZERO, looking(f64::from(nth), 0.0))).collect();
         let along = DVec3::new(0.6, 0.8, 0.0);
         let point = |nth: i32| askew() * (f64::from(nth) * along + DVec3::Z * f64::from(nth % 2));
         let points: Vec<DVec3> = (-5..=5).map(point).collect();
@@ -155,7 +160,8 @@ mod tests {
         for (there, back) in [(0.0, PI), (0.0, 0.0), (FRAC_PI_2, -FRAC_PI_2), (FRAC_PI_2, FRAC_PI_2)] {
             for lowered in [-FRAC_PI_2, -1.45] {
                 let photo = |nth: i32| {
-                    let centre = DVec3::new(f64::from(nth % 8), f64::from(nth / 8), 30.0 + 0.1 * f64::from(nth % 2));
+                    let centre =
+                        DVec3::new(f64::from(nth % 8), f64::from(nth / 8), 30.0 + 0.1 * f64::from(nth % 2));
                     camera(centre, looking(if nth / 8 % 2 == 0 { there } else { back }, lowered))
                 };
                 let cameras: Vec<Camera> = (0..40).map(photo).collect();
@@ -172,7 +178,12 @@ mod tests {
         let centre = |nth: i32| DVec3::new(f64::from(nth % 5), 0.1 * f64::from(nth % 2), f64::from(nth / 5));
         let cameras: Vec<Camera> = (0..25).map(|nth| camera(centre(nth), looking(0.0, 0.0))).collect();
         let relief = |nth: i32| {
-            askew() * DVec3::new(f64::from(nth % 5), 3.0 + 0.6 * f64::from(nth / 5 % 5), 3.0 * f64::from(nth / 25))
+            askew()
+                * DVec3::new(
+                    f64::from(nth % 5),
+                    3.0 + 0.6 * f64::from(nth / 5 % 5),
+                    3.0 * f64::from(nth / 25),
+                )
         };
         assert!(height_on_ground(&cameras, &(0..125).map(relief).collect::<Vec<_>>()) < 1e-9);
     }

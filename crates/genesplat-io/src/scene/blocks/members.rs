@@ -20,14 +20,15 @@ pub struct Members {
 }
 
 impl Members {
-    /// Photos of these `cameras` that show enough of a block, where what stands within `margin` of its sides beyond counts, too, and
-    /// all of `points` that they show.
+    /// Photos of these `cameras` that show enough of a block, where what stands within `margin` of its sides
+    /// beyond counts, too, and all of `points` that they show.
     ///
     /// What hides what is not known, so that a photo also shows what is behind a wall.
     pub fn of(grid: &Grid, cameras: &[Camera], points: &[DVec3], margin: f64) -> Self {
         let (near, blocks) = (grid.near(points, margin), grid.blocks().len());
         let none = || (0..points.len().div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
-        let mut members = Self { photos: vec![Vec::new(); blocks], points: (0..blocks).map(|_| none()).collect() };
+        let mut members =
+            Self { photos: vec![Vec::new(); blocks], points: (0..blocks).map(|_| none()).collect() };
         let of_photo = |camera: &Camera| {
             let shown = shown_by(camera, points);
             let blocks = enough(&shown, &near, blocks);
@@ -94,7 +95,10 @@ mod tests {
 
     /// Before the wall at `x`: shows 20 units of it.
     fn camera(x: f64) -> Camera {
-        Camera { camera_from_world_translation: DVec3::new(-x, -1.0, 10.0), ..Camera::at_origin(100, 100, 50.0) }
+        Camera {
+            camera_from_world_translation: DVec3::new(-x, -1.0, 10.0),
+            ..Camera::at_origin(100, 100, 50.0)
+        }
     }
 
     fn members(places: &[f64], margin: f64) -> Members {
@@ -121,7 +125,8 @@ mod tests {
         let places = [60.0, 101.0, 150.0];
         let members = members(&places, 0.0);
         for block in [0, 1] {
-            let shown = members.photos(block).iter().flat_map(|&photo| shown_by(&camera(places[photo]), &points()));
+            let shown =
+                members.photos(block).iter().flat_map(|&photo| shown_by(&camera(places[photo]), &points()));
             let mut expected: Vec<usize> = shown.collect();
             expected.sort_unstable();
             expected.dedup();

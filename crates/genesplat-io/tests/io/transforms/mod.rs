@@ -39,7 +39,9 @@ fn matrix(camera: &Camera) -> Value {
 }
 
 fn frames(range: std::ops::Range<usize>, path: impl Fn(usize) -> String) -> Vec<Value> {
-    range.map(|i| json!({"file_path": path(i), "transform_matrix": matrix(&camera(i)), "sharpness": 3.5})).collect()
+    range
+        .map(|i| json!({"file_path": path(i), "transform_matrix": matrix(&camera(i)), "sharpness": 3.5}))
+        .collect()
 }
 
 /// A nerfstudio scene of three photos.
@@ -67,7 +69,10 @@ fn load_description(description: &Value) -> Result<Scene, genesplat_io::SceneErr
 }
 
 fn assert_same_camera(a: &Camera, b: &Camera) {
-    assert_eq!((a.width, a.height, a.focal_px, a.principal_px), (b.width, b.height, b.focal_px, b.principal_px));
+    assert_eq!(
+        (a.width, a.height, a.focal_px, a.principal_px),
+        (b.width, b.height, b.focal_px, b.principal_px)
+    );
     assert!((a.centre_in_world() - b.centre_in_world()).length() < 1e-9);
     assert!((a.rotation() - b.rotation()).to_cols_array().iter().all(|v| v.abs() < 1e-9));
 }
@@ -140,7 +145,10 @@ fn a_frame_names_its_mask() {
     description["frames"][2]["mask_path"] = Value::Null;
     write(folder.path(), "transforms.json", &description);
     let sentence = load(folder.path()).unwrap_err().to_string();
-    assert!(sentence.contains("names the mask \"./hide/it.png\"") && sentence.contains("put it there"), "{sentence}");
+    assert!(
+        sentence.contains("names the mask \"./hide/it.png\"") && sentence.contains("put it there"),
+        "{sentence}"
+    );
     let left = genesplat_core::Photo {
         width: 40,
         height: 30,
@@ -149,7 +157,11 @@ fn a_frame_names_its_mask() {
     photos::write_png(&folder.path().join("hide/it.png"), &left).unwrap();
     let scene = load(folder.path()).unwrap();
     assert_eq!(scene.train.iter().map(|view| view.counted_pixels()).collect::<Vec<_>>(), [600, 1200]);
-    assert!(scene.notices.iter().any(|notice| notice.contains("1 of 3 photos have a mask")), "{:?}", scene.notices);
+    assert!(
+        scene.notices.iter().any(|notice| notice.contains("1 of 3 photos have a mask")),
+        "{:?}",
+        scene.notices
+    );
 }
 
 #[test]
@@ -173,7 +185,8 @@ fn listed_test_photos_are_held_out() {
 
 #[test]
 fn lists_of_file_names_say_what_each_photo_is_for() {
-    // Of photos 0, 1 and 2, the lists to train, to validate and to test on; then what is trained and tested on.
+    // Of photos 0, 1 and 2, the lists to train, to validate and to test on; then what is trained and tested
+    // on.
     let cases: [[&[usize]; 5]; 10] = [
         [&[1], &[], &[2], &[1], &[2]],
         [&[1], &[2], &[], &[1], &[2]],
@@ -197,7 +210,8 @@ fn lists_of_file_names_say_what_each_photo_is_for() {
         let [found, wanted] = [found.map(Vec::from_iter), wanted.map(Vec::from_iter)];
         assert_eq!(found, wanted, "{lists:?}");
         let unused = 3 - train.len() - test.len();
-        let says = scene.notices.iter().any(|notice| notice.starts_with(&format!("{unused} of the 3 photos")));
+        let says =
+            scene.notices.iter().any(|notice| notice.starts_with(&format!("{unused} of the 3 photos")));
         assert_eq!((says, scene.photos.len()), (unused > 0, 3), "{lists:?}: {:?}", scene.notices);
     }
 }
@@ -272,13 +286,18 @@ fn a_distorted_photo_is_undistorted() {
     let scene = load_description(&description).unwrap();
     let view = &scene.train[0];
     assert_ne!(*view.photo.read().unwrap(), tiny_photo(1, [40, 30]));
-    // A lens that pulls the corners outwards sees less of the world: of the pinhole's picture, the rim is cut off.
+    // A lens that pulls the corners outwards sees less of the world: of the pinhole's picture, the rim is cut
+    // off.
     assert_eq!(view.camera.focal_px, [44.0, 45.0]);
     assert_eq!(
         [view.camera.width, view.camera.height],
         [view.photo.read().unwrap().width, view.photo.read().unwrap().height]
     );
-    assert!((36..40).contains(&view.camera.width) && (26..30).contains(&view.camera.height), "{:?}", view.camera);
+    assert!(
+        (36..40).contains(&view.camera.width) && (26..30).contains(&view.camera.height),
+        "{:?}",
+        view.camera
+    );
 }
 
 #[test]
@@ -288,7 +307,8 @@ fn a_fisheye_is_told_by_its_model_or_by_a_flag() {
         description[key] = value;
         load_description(&description).unwrap().train.remove(0)
     };
-    let (by_model, by_flag) = (load("camera_model", json!("OPENCV_FISHEYE")), load("is_fisheye", json!(true)));
+    let (by_model, by_flag) =
+        (load("camera_model", json!("OPENCV_FISHEYE")), load("is_fisheye", json!(true)));
     assert_eq!(by_model.photo.read().unwrap(), by_flag.photo.read().unwrap());
     // A pinhole needs more of its image plane for what a fisheye sees.
     assert!(by_flag.camera.width > 40 && by_flag.camera.focal_px == [44.0, 45.0], "{:?}", by_flag.camera);
@@ -316,7 +336,8 @@ fn blender_scenes_keep_their_own_split_and_background() {
     // Half the width over the tangent of half the field of view, in both directions.
     scene.train[0].camera.focal_px.iter().for_each(|focal| assert!((focal - 32.0).abs() < 1e-9));
     assert!(scene.points.iter().all(|p| p.position.iter().all(|v| v.abs() <= 1.3) && p.rgb == [127; 3]));
-    let with = |hold_out| load_scene(folder.path(), &LoadOptions { hold_out, ..options.clone() }, &()).unwrap();
+    let with =
+        |hold_out| load_scene(folder.path(), &LoadOptions { hold_out, ..options.clone() }, &()).unwrap();
     assert_eq!(with(HoldOut::None).train.len(), 4);
     assert_eq!(names(&with(HoldOut::Photos(vec!["train/r_1.png".into()])).test), ["train_r_1.png"]);
 
@@ -374,7 +395,10 @@ fn mistakes_are_named() {
             "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, RADIAL_FISHEYE, \
              SIMPLE_RADIAL_FISHEYE; undistort",
         ),
-        (|d| d["ply_file_path"] = json!("../p.ply"), "the ply_file_path \"../p.ply\", which is not a path inside"),
+        (
+            |d| d["ply_file_path"] = json!("../p.ply"),
+            "the ply_file_path \"../p.ply\", which is not a path inside",
+        ),
         (|d| d["ply_file_path"] = json!(""), "the ply_file_path \"\", which is not a path inside"),
     ];
     for (spoil, expected) in cases {

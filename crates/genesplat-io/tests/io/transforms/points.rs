@@ -55,7 +55,8 @@ fn nested_model(shift: f64) -> Model {
             translation: translation.into(),
         }
     };
-    let intrinsics = Intrinsics { width: 40, height: 30, focal_px: [44.0; 2], principal_px: [20.0, 15.0], lens: None };
+    let intrinsics =
+        Intrinsics { width: 40, height: 30, focal_px: [44.0; 2], principal_px: [20.0, 15.0], lens: None };
     let point = |z: f64| (scale * (turn.inverse() * DVec3::new(1.0, 2.0, z))).as_vec3().into();
     let points = [3.0, 4.0, 5.0, 6.0].map(|z| Point { position: point(z), rgb: [z as u8; 3] });
     let images = (0..3).map(image).collect();
@@ -82,16 +83,19 @@ fn points_of_the_model_beside_are_moved_to_the_cameras() {
 fn points_that_lie_beside_the_list_are_taken_and_told() {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), "transforms.json", &nerfstudio());
-    fs::write(folder.path().join("sparse_pc.ply"), ascii_points("", "uchar", "1 -2 0.5 9 8 7\n4 5 6 255 128 0\n"))
-        .unwrap();
+    fs::write(
+        folder.path().join("sparse_pc.ply"),
+        ascii_points("", "uchar", "1 -2 0.5 9 8 7\n4 5 6 255 128 0\n"),
+    )
+    .unwrap();
     let scene = load(folder.path()).unwrap();
     assert_eq!((scene.points.len(), scene.points[0].position), (4, [1.0, -2.0, 0.5]));
     let told = |notice: &String| notice.contains("sparse_pc.ply, which the scene does not name");
     assert!(scene.notices.iter().any(told), "{:?}", scene.notices);
 }
 
-/// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first
-/// lines and the vertices' own.
+/// A point cloud of two points and two black ones, as training needs four; `before` stands between the
+/// header's first lines and the vertices' own.
 pub(super) fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
     let colours = ["red", "green", "blue"].map(|name| format!("property {colour} {name}\n")).concat();
     format!(
@@ -113,13 +117,17 @@ fn load_points_of(ply: &str) -> Result<Vec<Point>, genesplat_io::SceneError> {
 
 #[test]
 fn colours_as_fractions_are_brought_to_bytes() {
-    let colours = |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
+    let colours =
+        |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
     let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
     for kind in ["float", "double"] {
         assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);
     }
     // Levels written as floats, and a picture so dark that its bytes are 0 and 1.
-    assert_eq!(colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")), [[1, 2, 3], [0, 1, 255]]);
+    assert_eq!(
+        colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")),
+        [[1, 2, 3], [0, 1, 255]]
+    );
     assert_eq!(colours(&ascii_points("", "uchar", "0 0 0 1 0 1\n1 1 1 0 0 1")), [[1, 0, 1], [0, 0, 1]]);
 }
 

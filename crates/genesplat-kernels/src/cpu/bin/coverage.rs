@@ -1,7 +1,8 @@
-//! Which tiles and 4x4-pixel blocks a splat reaches: those whose pixel centres meet its ellipse `alpha ≥ 1/255`.
+//! Which tiles and 4x4-pixel blocks a splat reaches: those whose pixel centres meet its ellipse `alpha ≥
+//! 1/255`.
 //!
-//! The ellipse is convex, so within a band of four pixel rows it covers one interval of columns; eight bands are solved
-//! at once, one a lane.
+//! The ellipse is convex, so within a band of four pixel rows it covers one interval of columns; eight bands
+//! are solved at once, one a lane.
 
 use std::ops::Range;
 
@@ -44,7 +45,8 @@ pub(super) fn for_each_tile<S: Simd>(
         let rows = ((end_band - band) as usize).div_ceil(BLOCKS_ACROSS).min(BANDS / BLOCKS_ACROSS);
         let wanted = first.max(wanted.start)..(first + rows).min(wanted.end);
         if !wanted.is_empty() {
-            // The last bits of the spans depend on where the group starts, so that is no other for fewer rows.
+            // The last bits of the spans depend on where the group starts, so that is no other for fewer
+            // rows.
             let (from, to) = column_spans(simd, splat, band, column_limit);
             for tile_y in wanted {
                 let at = (tile_y - first) * BLOCKS_ACROSS;
@@ -72,7 +74,8 @@ pub fn tile_rows(splat: &Splat, rows: usize) -> Range<usize> {
     first / BLOCKS_ACROSS..end.div_ceil(BLOCKS_ACROSS)
 }
 
-/// Column and row of the block that holds the whole splat, if there is one: splats this small need no ellipse.
+/// Column and row of the block that holds the whole splat, if there is one: splats this small need no
+/// ellipse.
 #[inline(always)]
 fn only_block(splat: &Splat, grid: [usize; 2]) -> Option<[usize; 2]> {
     let mut block = [0; 2];
@@ -92,7 +95,12 @@ fn only_block(splat: &Splat, grid: [usize; 2]) -> Option<[usize; 2]> {
 
 /// Block columns `[from, to)` that the ellipse covers in each of eight bands; empty where `from ≥ to`.
 #[inline(always)]
-fn column_spans<S: Simd>(simd: S, splat: &Splat, first_band: i32, column_limit: i32) -> ([i32; BANDS], [i32; BANDS]) {
+fn column_spans<S: Simd>(
+    simd: S,
+    splat: &Splat,
+    first_band: i32,
+    column_limit: i32,
+) -> ([i32; BANDS], [i32; BANDS]) {
     let ellipse = Ellipse::of(splat);
     let lane = f32x8::simd_from(simd, LANE);
     let top = lane * BLOCK as f32 + (first_band as f32 * BLOCK as f32 - splat.mean_px[1]);
@@ -103,8 +111,10 @@ fn column_spans<S: Simd>(simd: S, splat: &Splat, first_band: i32, column_limit: 
     // Where the boundaries reach furthest: the ellipse's own extreme rows, or the nearest row of the band.
     let extreme = -ellipse.b * splat.half_extent_px[0] / ellipse.c;
     let (low, high) = (top.max(-height), bottom.min(height));
-    let right = ellipse.boundary(f32x8::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean_px[0] + SLACK_PX);
-    let left = ellipse.boundary(f32x8::splat(simd, -extreme).max(low).min(high), -1.0) + (splat.mean_px[0] - SLACK_PX);
+    let right =
+        ellipse.boundary(f32x8::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean_px[0] + SLACK_PX);
+    let left = ellipse.boundary(f32x8::splat(simd, -extreme).max(low).min(high), -1.0)
+        + (splat.mean_px[0] - SLACK_PX);
 
     // Block j covers pixel centres 4j to 4j + 3.
     let limit = column_limit as f32;
@@ -168,7 +178,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Every pixel with alpha ≥ 1/255 lies in a listed block, and a listed block is not far from such a pixel.
+        /// Every pixel with alpha ≥ 1/255 lies in a listed block, and a listed block is not far from such a
+        /// pixel.
         #[test]
         fn lists_are_exact(
             mean in [-20.0f32..100.0, -20.0f32..90.0], sigma in [0.5f32..25.0, 0.5f32..25.0],

@@ -1,7 +1,8 @@
 //! The splats of a view, nearest first: the sort of stage `bin`.
 //!
-//! A key is a splat's depth above its index, so there is one sorted order for any number of threads. One thread sorts
-//! by radix. Several first distribute the keys over ranges of depth, which are then sorted one by one (a sample sort).
+//! A key is a splat's depth above its index, so there is one sorted order for any number of threads. One
+//! thread sorts by radix. Several first distribute the keys over ranges of depth, which are then sorted one
+//! by one (a sample sort).
 
 use std::ops::Range;
 
@@ -96,12 +97,14 @@ fn keys_of(splats: &Splats, chunks: Range<usize>) -> impl Iterator<Item = u64> {
     })
 }
 
-/// Keys at which all ranges but the first begin: those of a sample, so that ranges are about as long as one another.
+/// Keys at which all ranges but the first begin: those of a sample, so that ranges are about as long as one
+/// another.
 fn range_ends(splats: &Splats, ranges: usize) -> Vec<u64> {
     let (chunks, wanted) = (chunks(splats), ranges * SAMPLES_PER_RANGE);
     let sampled = (0..chunks).step_by((chunks / wanted).max(1));
     let apart = CHUNK.div_ceil(wanted.div_ceil(sampled.len().max(1)));
-    let mut sample: Vec<u64> = sampled.flat_map(|chunk| keys_of(splats, chunk..chunk + 1).step_by(apart)).collect();
+    let mut sample: Vec<u64> =
+        sampled.flat_map(|chunk| keys_of(splats, chunk..chunk + 1).step_by(apart)).collect();
     sample.sort_unstable();
     let at = |range: usize| sample.get(sample.len() * range / ranges).copied().unwrap_or_default();
     (1..ranges).map(at).collect()

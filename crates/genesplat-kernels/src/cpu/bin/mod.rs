@@ -1,8 +1,8 @@
 //! Stage `bin`: which splats reach which tile, front to back, and which 4x4-pixel blocks of it.
 //!
-//! A splat is listed where its ellipse `alpha ≥ 1/255` meets the pixel centres of a block ([`coverage`]). Splats are
-//! sorted by depth once, ties by row ([`depth_order`]), visited in that order, and a counting sort by tile keeps it (as
-//! Splatshop and Faster-GS do; nothing is sorted per tile).
+//! A splat is listed where its ellipse `alpha ≥ 1/255` meets the pixel centres of a block ([`coverage`]).
+//! Splats are sorted by depth once, ties by row ([`depth_order`]), visited in that order, and a counting sort
+//! by tile keeps it (as Splatshop and Faster-GS do; nothing is sorted per tile).
 
 pub(crate) mod coverage;
 mod depth_order;
@@ -71,8 +71,10 @@ pub struct Bins {
 
 impl Bins {
     pub fn bytes(&self) -> usize {
-        let Self { intersections, tile_starts, splat_ranges, places, order, unsorted, counts, next, parts } = self;
-        let lists = bytes_of(intersections) + bytes_of(tile_starts) + bytes_of(splat_ranges) + bytes_of(places);
+        let Self { intersections, tile_starts, splat_ranges, places, order, unsorted, counts, next, parts } =
+            self;
+        let lists =
+            bytes_of(intersections) + bytes_of(tile_starts) + bytes_of(splat_ranges) + bytes_of(places);
         let unsorted: usize = unsorted.iter().map(bytes_of).sum();
         let counts: usize = counts.iter().map(bytes_of).sum();
         let parts: usize = parts.iter().map(Part::bytes).sum();

@@ -1,5 +1,5 @@
-//! The counting sort by tile of stage `bin`, by several threads: each sorts its part of the intersections, then each
-//! takes some tiles from all parts.
+//! The counting sort by tile of stage `bin`, by several threads: each sorts its part of the intersections,
+//! then each takes some tiles from all parts.
 
 use rayon::prelude::*;
 
@@ -49,7 +49,8 @@ impl Bins {
         // 4. Each tile is copied together from all parts.
         let bands: Vec<&[u32]> = tile_starts[..tiles].chunks(TILES).collect();
         let end = |band: usize| tile_starts[tiles.min((band + 1) * TILES)];
-        let lengths: Vec<usize> = (0..bands.len()).map(|band| (end(band) - bands[band][0]) as usize).collect();
+        let lengths: Vec<usize> =
+            (0..bands.len()).map(|band| (end(band) - bands[band][0]) as usize).collect();
         let work = split(intersections, &lengths).into_par_iter().enumerate();
         work.for_each(|(band, mut rest)| {
             for tile in band * TILES..tiles.min((band + 1) * TILES) {

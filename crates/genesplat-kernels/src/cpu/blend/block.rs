@@ -28,8 +28,8 @@ const fn coordinates(lanes_a_step: usize) -> [[f32; LANES]; BLOCKS_ACROSS] {
     out
 }
 
-/// Calls `visit(place in the list, splat seen from the tile's corner)` for each intersection of a tile, front to back,
-/// until it says that no block is left; returns how many intersections were visited.
+/// Calls `visit(place in the list, splat seen from the tile's corner)` for each intersection of a tile, front
+/// to back, until it says that no block is left; returns how many intersections were visited.
 #[inline(always)]
 pub(crate) fn each_splat(
     splats: &Splats,
@@ -61,9 +61,15 @@ pub(crate) fn each_block(mut blocks: u32, mut visit: impl FnMut(usize)) {
     }
 }
 
-/// Transmittance 1 at the pixels of a block that lie in the image; those outside are finished before they begin.
+/// Transmittance 1 at the pixels of a block that lie in the image; those outside are finished before they
+/// begin.
 #[inline(always)]
-pub(crate) fn full_transmittance<S: Simd>(simd: S, block: usize, origin: [usize; 2], size_px: [u32; 2]) -> V<S> {
+pub(crate) fn full_transmittance<S: Simd>(
+    simd: S,
+    block: usize,
+    origin: [usize; 2],
+    size_px: [u32; 2],
+) -> V<S> {
     let limit = |axis: usize| size_px[axis] as f32 - origin[axis] as f32;
     let x = V::simd_from(simd, COLUMN_PX[block % BLOCKS_ACROSS]);
     let y = V::simd_from(simd, ROW_PX[block / BLOCKS_ACROSS]);
@@ -71,8 +77,8 @@ pub(crate) fn full_transmittance<S: Simd>(simd: S, block: usize, origin: [usize;
     inside.select(V::splat(simd, 1.0), V::splat(simd, -1.0))
 }
 
-/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict (measured: a fifth of
-/// the stage's time).
+/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict (measured: a
+/// fifth of the stage's time).
 #[cold]
 #[inline(never)]
 pub(crate) fn finish(block: usize, live: &mut u32) {
@@ -103,19 +109,21 @@ pub(crate) fn alpha<S: Simd>(simd: S, splat: &Splat, block: usize) -> Alpha<S> {
     let constant = (dy * c).mul_add(dy, V::splat(simd, splat.log2_opacity));
     let exponent = slope.mul_add(dx, constant);
     let hit = exponent.simd_ge(-LOG2_255);
-    // No Gaussian exceeds its opacity, but far from the mean of a needle large terms cancel, and rounding may leave
-    // anything.
+    // No Gaussian exceeds its opacity, but far from the mean of a needle large terms cancel, and rounding may
+    // leave anything.
     let unclamped = exp2_of_alpha(exponent.min(splat.log2_opacity));
     Alpha { offset: [dx, dy], unclamped, alpha: keep(hit, unclamped.min(ALPHA_MAX)), hit }
 }
 
-/// The least light that is left at any pixel of a tile, or less: while no splat can finish one, blending need not look.
+/// The least light that is left at any pixel of a tile, or less: while no splat can finish one, blending need
+/// not look.
 pub(crate) struct LeastLight {
     least: f32,
     may_finish: bool,
 }
 
-/// Rounding makes the bound wrong by less than a hundredth: each step by some millionths, over at most some thousand of them.
+/// Rounding makes the bound wrong by less than a hundredth: each step by some millionths, over at most some
+/// thousand of them.
 const FINISHING: f32 = 1.01 * TRANSMITTANCE_MIN;
 
 impl LeastLight {
@@ -123,8 +131,8 @@ impl LeastLight {
         Self { least: 1.0, may_finish: false }
     }
 
-    /// Whether `splat`, which is blended next, may finish a pixel; from the first that may all may. `transmittance` tells the bound
-    /// anew where it has become too low.
+    /// Whether `splat`, which is blended next, may finish a pixel; from the first that may all may.
+    /// `transmittance` tells the bound anew where it has become too low.
     #[inline(always)]
     pub(crate) fn may_finish(&mut self, splat: &Splat, transmittance: impl FnOnce() -> f32) -> bool {
         if self.may_finish {
@@ -140,7 +148,8 @@ impl LeastLight {
     }
 }
 
-/// Up to 6 % more than `2^x`, and at most 0.99: the fraction of `x` is taken for a mantissa, and `1 + f ≥ 2^f`.
+/// Up to 6 % more than `2^x`, and at most 0.99: the fraction of `x` is taken for a mantissa, and `1 + f ≥
+/// 2^f`.
 #[inline(always)]
 fn opacity_at_most(log2_opacity: f32) -> f32 {
     const EXPONENT_BIAS: f32 = 127.0;
@@ -148,9 +157,13 @@ fn opacity_at_most(log2_opacity: f32) -> f32 {
     f32::from_bits(((log2_opacity + EXPONENT_BIAS) * MANTISSA) as u32).min(ALPHA_MAX)
 }
 
-/// The least transmittance of the blocks of a tile, of which no pixel in the image is finished; 1 at those outside.
+/// The least transmittance of the blocks of a tile, of which no pixel in the image is finished; 1 at those
+/// outside.
 #[inline(always)]
-pub(crate) fn least_transmittance<'a, S: Simd>(simd: S, blocks: impl Iterator<Item = &'a [f32; LANES]>) -> f32 {
+pub(crate) fn least_transmittance<'a, S: Simd>(
+    simd: S,
+    blocks: impl Iterator<Item = &'a [f32; LANES]>,
+) -> f32 {
     let one = V::splat(simd, 1.0);
     let mut least = one;
     for block in blocks {
@@ -169,8 +182,8 @@ pub(crate) struct Absorbed<S: Simd> {
     pub goes_on: mask32x16<S>,
 }
 
-/// Blends `alpha` into pixels of transmittance `transmittance`, of which none is or will be finished unless `MAY_FINISH`. (Those outside
-/// the image are: what is blended there is never looked at, and stays below 0.)
+/// Blends `alpha` into pixels of transmittance `transmittance`, of which none is or will be finished unless
+/// `MAY_FINISH`. (Those outside the image are: what is blended there is never looked at, and stays below 0.)
 #[inline(always)]
 pub(crate) fn absorb<const MAY_FINISH: bool, S: Simd>(transmittance: V<S>, alpha: V<S>) -> Absorbed<S> {
     let weight = transmittance * alpha;
@@ -193,7 +206,10 @@ mod tests {
         for step in 0..8000 {
             let log2 = step as f32 / -1000.0;
             let (opacity, bound) = (log2.exp2().min(ALPHA_MAX), opacity_at_most(log2));
-            assert!(bound >= 0.999_99 * opacity && bound <= 1.062 * opacity, "2^{log2}: {bound} for {opacity}");
+            assert!(
+                bound >= 0.999_99 * opacity && bound <= 1.062 * opacity,
+                "2^{log2}: {bound} for {opacity}"
+            );
         }
     }
 }

@@ -1,11 +1,13 @@
 //! Stage `rasterise`: blends the splats of each tile front to back.
 //!
-//! A tile is 16 blocks of 4x4 pixels and a block is one vector. Splats come one after another, and each visits the
-//! blocks that its ellipse reaches; these do not wait for one another, so the machine works on several at once.
+//! A tile is 16 blocks of 4x4 pixels and a block is one vector. Splats come one after another, and each
+//! visits the blocks that its ellipse reaches; these do not wait for one another, so the machine works on
+//! several at once.
 //!
-//! A pixel is finished when a splat would leave less than 1e-4 of its light. Its transmittance is kept with the sign
-//! bit set; whatever is blended after that finds it below the threshold and adds nothing, so no branch depends on it.
-//! Until a splat may finish a pixel of the tile ([`LeastLight`]), none of that is looked at: two thirds of the work.
+//! A pixel is finished when a splat would leave less than 1e-4 of its light. Its transmittance is kept with
+//! the sign bit set; whatever is blended after that finds it below the threshold and adds nothing, so no
+//! branch depends on it. Until a splat may finish a pixel of the tile ([`LeastLight`]), none of that is
+//! looked at: two thirds of the work.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::Image;
@@ -68,7 +70,8 @@ fn rasterise_tile<S: Simd>(
         #[inline(always)]
         |index, splat| {
             let blocks = intersections[index].blocks & live;
-            let transmittance = || least_transmittance(simd, out.blocks.iter().map(|block| &block[TRANSMITTANCE]));
+            let transmittance =
+                || least_transmittance(simd, out.blocks.iter().map(|block| &block[TRANSMITTANCE]));
             if light.may_finish(splat, transmittance) {
                 blend::<true, S>(simd, splat, blocks, out, &mut live);
             } else {
@@ -112,7 +115,8 @@ impl TileImage {
     }
 }
 
-/// Blends one splat (seen from the tile's corner) into some blocks; takes those that it finishes out of `live`, if it may.
+/// Blends one splat (seen from the tile's corner) into some blocks; takes those that it finishes out of
+/// `live`, if it may.
 #[inline(always)]
 pub(crate) fn blend<const MAY_FINISH: bool, S: Simd>(
     simd: S,

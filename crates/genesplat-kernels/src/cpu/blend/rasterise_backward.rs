@@ -1,11 +1,11 @@
 //! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile.
 //!
-//! Walks the lists front to back once more: with the final image known, the light behind a splat is what remains of it.
-//! Per pixel it finds `p = o·G · dL/dα` and `w = α·T`. All gradients of a splat are sums of `p` times
-//! `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
+//! Walks the lists front to back once more: with the final image known, the light behind a splat is what
+//! remains of it. Per pixel it finds `p = o·G · dL/dα` and `w = α·T`. All gradients of a splat are sums of
+//! `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
 //!
-//! Each splat visits its blocks twice: first for `p` and `w`, then for the sums, which stay in registers and are
-//! reduced over the lanes once per tile. No two tasks write the same row, so there are no atomics.
+//! Each splat visits its blocks twice: first for `p` and `w`, then for the sums, which stay in registers and
+//! are reduced over the lanes once per tile. No two tasks write the same row, so there are no atomics.
 
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use genesplat_core::DensitySignal;
@@ -20,8 +20,8 @@ use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
 use crate::cpu::simd::{LANES, V, array, keep};
 use crate::cpu::view::{Band, Pinhole, Splat, Splats, TILE, ViewBuffers};
 
-/// Backward pass of the tiles of a band, of which `buffers` has image and gradient: fills one row for each intersection.
-/// Rows have the sums that `signal` needs.
+/// Backward pass of the tiles of a band, of which `buffers` has image and gradient: fills one row for each
+/// intersection. Rows have the sums that `signal` needs.
 pub(crate) fn rasterise_backward(
     level: Level,
     buffers: &mut ViewBuffers,
@@ -47,8 +47,8 @@ pub(crate) fn rasterise_backward(
     });
 }
 
-/// What is summed besides the gradients: nothing, absolute screen gradients (gsplat's "absgrad"), or pixels blended that
-/// have a gradient.
+/// What is summed besides the gradients: nothing, absolute screen gradients (gsplat's "absgrad"), or pixels
+/// blended that have a gradient.
 const NONE: u8 = 0;
 const ABSOLUTE: u8 = 1;
 const PIXELS: u8 = 2;
@@ -98,7 +98,12 @@ struct Terms {
 }
 
 #[inline(always)]
-fn backward_tile<const EXTRA: u8, S: Simd>(simd: S, task: &TileTask, state: &mut TileState, rows: &mut [GradientRow]) {
+fn backward_tile<const EXTRA: u8, S: Simd>(
+    simd: S,
+    task: &TileTask,
+    state: &mut TileState,
+    rows: &mut [GradientRow],
+) {
     let mut live = begin(simd, task, state);
     let mut light = LeastLight::new();
     let visited = each_splat(
@@ -111,7 +116,8 @@ fn backward_tile<const EXTRA: u8, S: Simd>(simd: S, task: &TileTask, state: &mut
             rows[index] = if blocks == 0 {
                 GradientRow::default()
             } else {
-                let transmittance = || least_transmittance(simd, state.blocks.iter().map(|block| &block.transmittance));
+                let transmittance =
+                    || least_transmittance(simd, state.blocks.iter().map(|block| &block.transmittance));
                 let extra = if light.may_finish(splat, transmittance) {
                     replay::<EXTRA, true, S>(simd, splat, blocks, state, &mut live)
                 } else {
@@ -181,7 +187,8 @@ fn replay<const EXTRA: u8, const MAY_FINISH: bool, S: Simd>(
                 finish(block, live);
             }
 
-            // 2. dL/dα: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
+            // 2. dL/dα: what the splat adds itself, less what it takes from everything behind it. The clamp
+            //    at 0.99 is
             // ignored, as published (straight-through).
             let gradient: [V<S>; 3] = array!(channel => V::from_slice(simd, &state.gradient[channel]));
             let own = gradient[0] * splat.rgb[0] + gradient[1] * splat.rgb[1] + gradient[2] * splat.rgb[2];
@@ -209,7 +216,8 @@ fn replay<const EXTRA: u8, const MAY_FINISH: bool, S: Simd>(
     extra
 }
 
-/// `1/x` for `x` in `[0.01, 1]`, to 2e-5 or better: a division takes as long as the rest of the block's arithmetic.
+/// `1/x` for `x` in `[0.01, 1]`, to 2e-5 or better: a division takes as long as the rest of the block's
+/// arithmetic.
 #[inline(always)]
 fn reciprocal<S: Simd>(x: V<S>) -> V<S> {
     let estimate = x.approximate_recip();
@@ -226,7 +234,8 @@ fn absolute_gradient<S: Simd>(splat: &Splat, [dx, dy]: [V<S>; 2], p: V<S>) -> [V
 /// Coordinates of moments are taken from the tile's centre: small numbers, exact in f32.
 const TILE_CENTRE: f32 = (TILE - 1) as f32 / 2.0;
 
-/// Lanes of half a block: what the sums are made of, so that nine of them fit the registers of a 256-bit machine.
+/// Lanes of half a block: what the sums are made of, so that nine of them fit the registers of a 256-bit
+/// machine.
 const HALF: usize = LANES / 2;
 
 /// Sums the terms of a splat over its blocks into a row, with moments about the tile's centre.

@@ -9,8 +9,8 @@ pub(crate) const TAPS: usize = 2 * SSIM_RADIUS + 1;
 /// Zeros before and after each row: at least the window's radius, and whole vectors.
 pub(crate) const MARGIN: usize = LANES;
 
-/// The last 11 rows of `K` quantities, blurred horizontally; row `y` is in slot `y % 11`. What is summed together lies
-/// together: 16 columns of all slots, quantity by quantity.
+/// The last 11 rows of `K` quantities, blurred horizontally; row `y` is in slot `y % 11`. What is summed
+/// together lies together: 16 columns of all slots, quantity by quantity.
 pub(crate) struct Ring<const K: usize> {
     pub columns: Vec<[[[f32; LANES]; TAPS]; K]>,
 }

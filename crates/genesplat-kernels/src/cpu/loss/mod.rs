@@ -1,15 +1,16 @@
 //! Stage `loss`: `0.8 · mean |I − P| + 0.2 · (1 − mean SSIM)` and its gradient, fused.
 //!
-//! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows ([`blur`]). A
-//! task walks down one strip of one channel and keeps only the last 11 rows of moments and partial derivatives.
+//! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows
+//! ([`blur`]). A task walks down one strip of one channel and keeps only the last 11 rows of moments and
+//! partial derivatives.
 //!
 //! With raw moments `E[x], E[y], E[x²], E[y²], E[xy]` (x the render, y the photo) SSIM is
-//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two variances
-//! only enter as their sum, so `E[x² + y²]` is one moment. The gradient of S is, as the window is symmetric,
-//! `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`.
+//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two
+//! variances only enter as their sum, so `E[x² + y²]` is one moment. The gradient of S is, as the window is
+//! symmetric, `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`.
 //!
-//! Under a mask, render and photo are made equal before the loss, and the gradient zero after it ([`Target::hide`]). Means
-//! stay those over all pixels, so that a pixel weighs the same in every photo.
+//! Under a mask, render and photo are made equal before the loss, and the gradient zero after it
+//! ([`Target::hide`]). Means stay those over all pixels, so that a pixel weighs the same in every photo.
 
 pub(crate) mod blur;
 pub(crate) mod squared_error;
@@ -98,8 +99,8 @@ impl PhotoRows {
 }
 
 impl Target {
-    /// Makes planes `[.., H, W]` equal to the photo where nothing counts: neither L1 nor a window of SSIM sees a
-    /// difference there. Of the gradient, zeros remain.
+    /// Makes planes `[.., H, W]` equal to the photo where nothing counts: neither L1 nor a window of SSIM
+    /// sees a difference there. Of the gradient, zeros remain.
     pub(crate) fn hide(&self, planes: &mut [f32]) {
         self.hide_rows(planes, &(0..self.height));
     }
@@ -140,9 +141,9 @@ pub(crate) fn loss(level: Level, image: &Image, photo: &PhotoRows, gradient: Opt
 /// Rows beside some rows of a picture that their loss and its gradient depend on.
 pub const LOSS_REACH: usize = 2 * SSIM_RADIUS;
 
-/// Sums of `|I − P|` and of SSIM of each of `rows` `[3, rows]`, and the gradient of the whole picture's loss by them
-/// `[3, rows, W]`, when wanted. Of the picture, `image` has the rows from `first` on: `rows` and all within [`LOSS_REACH`].
-/// Of the photo, the same are wanted.
+/// Sums of `|I − P|` and of SSIM of each of `rows` `[3, rows]`, and the gradient of the whole picture's loss
+/// by them `[3, rows, W]`, when wanted. Of the picture, `image` has the rows from `first` on: `rows` and all
+/// within [`LOSS_REACH`]. Of the photo, the same are wanted.
 pub fn loss_of_rows(
     level: Level,
     (image, first): (&Image, usize),
@@ -178,14 +179,16 @@ pub fn loss_of_rows(
         }
         Some(gradient) => {
             gradient.resize(3 * rows.len() * width, 0.0);
-            let out = gradient.chunks_mut(rows.len() * width).flat_map(|plane| plane.chunks_mut(STRIP * width));
+            let out =
+                gradient.chunks_mut(rows.len() * width).flat_map(|plane| plane.chunks_mut(STRIP * width));
             let strips: Vec<_> = sums.zip(out).collect();
             strips.into_par_iter().enumerate().for_each(|(index, (sums, out))| task(index, sums, Some(out)));
         }
     }
 }
 
-/// The loss from the sums of all rows `[3, H]` of a picture of `width` x `height` px, which are added strip by strip.
+/// The loss from the sums of all rows `[3, H]` of a picture of `width` x `height` px, which are added strip
+/// by strip.
 pub fn loss_of_sums(sums: &[[f64; 2]], [width, height]: [usize; 2]) -> f32 {
     let strips = sums.chunks(height).flat_map(|channel| channel.chunks(STRIP));
     combine(strips.map(|strip| strip.iter().fold([0.0; 2], add)), 3 * width * height)

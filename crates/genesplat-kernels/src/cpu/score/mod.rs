@@ -1,10 +1,10 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! Individuals are not rendered one by one. A [`Pool`] has each [row version](genesplat_core::row_versions) once. To a
-//! view these are the rows of one large cloud, projected, sorted and listed by tile once for all individuals
-//! ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left for an individual is
-//! to blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those of rendering the changed cloud
-//! up to rounding.
+//! Individuals are not rendered one by one. A [`Pool`] has each [row version](genesplat_core::row_versions)
+//! once. To a view these are the rows of one large cloud, projected, sorted and listed by tile once for all
+//! individuals ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left
+//! for an individual is to blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those
+//! of rendering the changed cloud up to rounding.
 
 pub(crate) mod photo_loss;
 mod pool;
@@ -33,8 +33,8 @@ pub(crate) struct Scorer {
 }
 
 impl Scorer {
-    /// Losses `[P, V]` of the individuals on `views`; `of_view` gives the camera and the photo of each. Pools are those
-    /// of all views, of which others may be scored elsewhere.
+    /// Losses `[P, V]` of the individuals on `views`; `of_view` gives the camera and the photo of each. Pools
+    /// are those of all views, of which others may be scored elsewhere.
     pub(crate) fn score<'a>(
         &mut self,
         level: Level,
@@ -64,13 +64,14 @@ impl Scorer {
                     pool.losses(level, cloud, of_view, settings, buffers)
                 }));
             }
-            losses.extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
+            losses
+                .extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
         }
         Ok(losses)
     }
 
-    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: photos grow with the
-    /// views, the pool and its buffers with individuals and Gaussians.
+    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: photos grow
+    /// with the views, the pool and its buffers with individuals and Gaussians.
     pub(crate) fn bytes(&self) -> usize {
         let photos: usize = self.photos.values().map(PhotoLoss::bytes).sum();
         photos + self.buffers.iter().map(PoolBuffers::bytes).sum::<usize>() + self.pool_bytes

@@ -1,8 +1,8 @@
 //! The loss of a picture against one photo, forward only, for many pictures of one view.
 //!
-//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have rows of
-//! whole vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px
-//! from top to bottom: what the last 11 rows leave stays in the first-level cache.
+//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have
+//! rows of whole vectors with zeros around them, so that every load is a whole vector. A channel is walked in
+//! columns of 144 px from top to bottom: what the last 11 rows leave stays in the first-level cache.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::PhotoLost;
@@ -18,7 +18,8 @@ const COLUMN_VECTORS: usize = 9;
 /// Rows whose sums are added in f32 before they are added in f64.
 const ROWS_PER_SUM: usize = 8;
 
-/// Where the values of a padded picture lie: planes of rows of whole vectors, zeros before and after each row.
+/// Where the values of a padded picture lie: planes of rows of whole vectors, zeros before and after each
+/// row.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Layout {
     pub size: [usize; 2],
@@ -68,7 +69,8 @@ pub(crate) struct PhotoLoss {
     blurred: Vec<[[f32; LANES]; 2]>,
 }
 
-/// The working memory of one walk: the last 11 rows of `K` quantities, blurred along the row, and one row unblurred.
+/// The working memory of one walk: the last 11 rows of `K` quantities, blurred along the row, and one row
+/// unblurred.
 pub(crate) struct Walk<const K: usize> {
     ring: Ring<K>,
     rows: [Vec<f32>; K],
@@ -90,7 +92,8 @@ impl PhotoLoss {
         let photo = PhotoRows::whole(target)?;
         let layout = Layout { size: [target.width, target.height] };
         let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);
-        let mut photo_loss = Self { layout, photo: padded(&photo, layout), hidden: hidden(target, layout), blurred };
+        let mut photo_loss =
+            Self { layout, photo: padded(&photo, layout), hidden: hidden(target, layout), blurred };
         dispatch!(level, simd => photo_loss.blur_photo(simd));
         Ok(photo_loss)
     }
@@ -118,7 +121,9 @@ impl PhotoLoss {
     /// Makes a picture equal to the photo where nothing counts.
     pub(crate) fn hide(&self, picture: &mut [f32]) {
         for channel in 0..3 {
-            self.hidden.iter().for_each(|&place| picture[channel * self.layout.plane() + place as usize] = 0.0);
+            self.hidden
+                .iter()
+                .for_each(|&place| picture[channel * self.layout.plane() + place as usize] = 0.0);
         }
     }
 
@@ -214,8 +219,8 @@ fn padded(photo: &PhotoRows, layout: Layout) -> Vec<u8> {
 }
 
 impl<const K: usize> Walk<K> {
-    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred quantities)` for
-    /// each of its vectors, row by row; `load(place)` gives the quantities.
+    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred
+    /// quantities)` for each of its vectors, row by row; `load(place)` gives the quantities.
     #[inline(always)]
     fn down<S: Simd>(
         &mut self,

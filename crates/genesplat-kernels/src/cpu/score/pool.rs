@@ -94,15 +94,16 @@ impl<'a> Pool<'a> {
             dispatch!(level, simd => blender.blend(simd, splats, holders, list, background, out));
         });
         // 3. Their losses.
-        let losses = (0..self.individuals).into_par_iter().map_init(LossScratch::default, |scratch, individual| {
-            let (LossScratch { picture, walk }, layout) = (scratch, photo_loss.layout);
-            picture.resize(layout.len(), 0.0);
-            for (tile, of_tile) in pictures.chunks(self.individuals).enumerate() {
-                write_tile(&of_tile[individual], layout, corner(tile), picture);
-            }
-            photo_loss.hide(picture);
-            dispatch!(level, simd => photo_loss.loss(simd, picture, walk))
-        });
+        let losses =
+            (0..self.individuals).into_par_iter().map_init(LossScratch::default, |scratch, individual| {
+                let (LossScratch { picture, walk }, layout) = (scratch, photo_loss.layout);
+                picture.resize(layout.len(), 0.0);
+                for (tile, of_tile) in pictures.chunks(self.individuals).enumerate() {
+                    write_tile(&of_tile[individual], layout, corner(tile), picture);
+                }
+                photo_loss.hide(picture);
+                dispatch!(level, simd => photo_loss.loss(simd, picture, walk))
+            });
         losses.collect()
     }
 }

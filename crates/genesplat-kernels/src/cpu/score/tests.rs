@@ -1,5 +1,6 @@
-//! Scores against the loss of the changed cloud, rendered in full. Both compute in f32, in different orders: a loss may
-//! be off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes to.
+//! Scores against the loss of the changed cloud, rendered in full. Both compute in f32, in different orders:
+//! a loss may be off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes
+//! to.
 
 use fearless_simd::{Level, dispatch};
 use genesplat_core::{
@@ -75,7 +76,8 @@ fn scoring_equals_rendering_the_changed_cloud() {
         for logit in [-3.0, 0.0, 7.0] {
             let mut base = cloud_of(1500, logit);
             base.filter_3d = (filter == ScreenFilter::Mip).then(|| vec![0.02; 1500]);
-            let population: Vec<SparseDelta> = (0..6).map(|individual| individual_of(&base, individual)).collect();
+            let population: Vec<SparseDelta> =
+                (0..6).map(|individual| individual_of(&base, individual)).collect();
             check(&base, &population, &views_of([[75, 53], [310, 37]]), &settings(3, filter));
         }
     }
@@ -85,8 +87,11 @@ fn scoring_equals_rendering_the_changed_cloud() {
 fn every_size_and_background_is_scored() {
     let base = cloud_of(300, -2.0);
     let population: Vec<SparseDelta> = (0..4).map(|individual| individual_of(&base, individual)).collect();
-    for (size, background) in [([1, 1], 0.0), ([5, 3], 1.0), ([16, 130], 0.5), ([64, 48], 0.0), ([161, 17], 1.0)] {
-        let settings = RenderSettings { background: [background, 0.2, 0.7], ..settings(1, ScreenFilter::Classic) };
+    for (size, background) in
+        [([1, 1], 0.0), ([5, 3], 1.0), ([16, 130], 0.5), ([64, 48], 0.0), ([161, 17], 1.0)]
+    {
+        let settings =
+            RenderSettings { background: [background, 0.2, 0.7], ..settings(1, ScreenFilter::Classic) };
         check(&base, &population, &views_of([size, [33, 20]]), &settings);
     }
 }
@@ -115,7 +120,8 @@ fn single_changes_are_scored_wherever_they_are() {
     }
 }
 
-/// Narrow splats finish a few pixels and let the light of all others pass; what an individual puts behind them is seen.
+/// Narrow splats finish a few pixels and let the light of all others pass; what an individual puts behind
+/// them is seen.
 #[test]
 fn what_comes_behind_a_block_that_is_finished_in_part_is_scored() {
     let mut base = Gaussians::zeros(5);
@@ -131,7 +137,12 @@ fn what_comes_behind_a_block_that_is_finished_in_part_is_scored() {
         genes[0] = 0.0;
         genes[3..6].fill(0.5f32.ln());
     });
-    check(&base, &[SparseDelta::default(), wide], &views_of([[75, 53], [33, 20]]), &settings(0, ScreenFilter::Classic));
+    check(
+        &base,
+        &[SparseDelta::default(), wide],
+        &views_of([[75, 53], [33, 20]]),
+        &settings(0, ScreenFilter::Classic),
+    );
 }
 
 /// All rows change, their depth order is turned round, and splats that nobody saw appear.
@@ -139,7 +150,8 @@ fn what_comes_behind_a_block_that_is_finished_in_part_is_scored() {
 fn large_changes_are_scored() {
     let mut base = cloud_of(250, -1.0);
     base.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = -9.0);
-    let everything = |change: &dyn Fn(usize, &mut genesplat_core::Genes)| change_rows(&base, 0..base.len(), change);
+    let everything =
+        |change: &dyn Fn(usize, &mut genesplat_core::Genes)| change_rows(&base, 0..base.len(), change);
     let population = [
         everything(&|_, genes| genes[2] = 4.0 - genes[2]),
         everything(&|_, genes| genes[6] = 0.5),
@@ -156,7 +168,9 @@ fn large_changes_are_scored() {
 fn populations_of_several_pools_are_scored() {
     let base = cloud_of(60, -2.0);
     let population: Vec<SparseDelta> = (0..140)
-        .map(|individual| change_rows(&base, 0..60, |row, genes| genes[6] += (row * individual % 7) as f32 * 0.1))
+        .map(|individual| {
+            change_rows(&base, 0..60, |row, genes| genes[6] += (row * individual % 7) as f32 * 0.1)
+        })
         .collect();
     check(&base, &population, &views_of([[33, 20], [20, 33]]), &settings(0, ScreenFilter::Classic));
     assert_eq!(pool::Pool::capacity(6), 128);

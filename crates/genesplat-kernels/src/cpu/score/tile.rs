@@ -1,8 +1,8 @@
 //! The picture of one tile for every individual of a pool.
 //!
-//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level cache. The
-//! alphas of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds. Where all
-//! splats of a batch together could not finish a pixel, none is checked.
+//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level
+//! cache. The alphas of a batch of up to 64 splats are evaluated, and then each individual blends those that
+//! it holds. Where all splats of a batch together could not finish a pixel, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::constants::TRANSMITTANCE_MIN;
@@ -35,7 +35,8 @@ pub(crate) struct TileBlender {
 }
 
 impl TileBlender {
-    /// Blends the tile at `origin` (px) for every individual, on `background`; `all_holders` are those of each splat.
+    /// Blends the tile at `origin` (px) for every individual, on `background`; `all_holders` are those of
+    /// each splat.
     #[inline(always)]
     pub(crate) fn blend<S: Simd>(
         &mut self,
@@ -135,7 +136,8 @@ struct Batch {
     colours: [[f32; 3]; BATCH],
     /// The lower and the upper half of the bits of those who hold it.
     holders: [[u64; BATCH]; 2],
-    /// What all of them together let through, and a little less, as the products of individuals round otherwise.
+    /// What all of them together let through, and a little less, as the products of individuals round
+    /// otherwise.
     passing: [f32; LANES],
     length: usize,
 }
@@ -223,8 +225,8 @@ impl Batch {
     }
 }
 
-/// Bit `j` of word `i` changes places with bit `i` of word `j`: squares of bits above and below the diagonal are
-/// swapped, ever smaller ones (Warren, "Hacker's Delight", section 7-3).
+/// Bit `j` of word `i` changes places with bit `i` of word `j`: squares of bits above and below the diagonal
+/// are swapped, ever smaller ones (Warren, "Hacker's Delight", section 7-3).
 fn transpose(words: &mut [u64; 64]) {
     for log_side in (0..6).rev() {
         let side = 1 << log_side;
@@ -256,8 +258,8 @@ mod tests {
         }
     }
 
-    /// From alphas that finish most pixels, over ones that finish the last lane's and ones that just do not, to faint
-    /// ones.
+    /// From alphas that finish most pixels, over ones that finish the last lane's and ones that just do not,
+    /// to faint ones.
     #[test]
     fn pixels_are_finished_for_each_individual_where_they_are() {
         for (alpha_of_lane, finishes) in [(0.03, true), (0.0125, true), (0.01, false), (0.003, false)] {
@@ -290,7 +292,10 @@ mod tests {
                 }
                 let [actual_red, _, _, actual_passing] = lights[individual].0.map(|values| values[lane]);
                 assert!((actual_red - red).abs() < 1e-5, "{individual}, {lane}: {actual_red}, {red}");
-                assert!((actual_passing.abs() - passing).abs() < 1e-6 * passing.max(0.1), "{individual}, {lane}");
+                assert!(
+                    (actual_passing.abs() - passing).abs() < 1e-6 * passing.max(0.1),
+                    "{individual}, {lane}"
+                );
             }
             let expected = finishes && individual == 0;
             assert_eq!(finished > 0, expected, "individual {individual}: {finished} pixels");

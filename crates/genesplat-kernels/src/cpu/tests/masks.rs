@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use genesplat_core::{DensitySignal, Device, Held, Mask, Photo, ScreenFilter, StatisticsRequest, TrainStep, View};
+use genesplat_core::{
+    DensitySignal, Device, Held, Mask, Photo, ScreenFilter, StatisticsRequest, TrainStep, View,
+};
 
 use super::{backend_with, compare, compare_gradients, flat};
 use crate::cpu::CpuBackend;
@@ -54,8 +56,12 @@ fn masked_losses_gradients_and_statistics_match_the_reference() {
         let of = |values: &[f32]| values.iter().map(|&value| f64::from(value)).collect::<Vec<_>>();
         assert_eq!(of(&actual.weight_sum), sums.weight_sum, "{signal:?}");
         compare("density", of(&actual.gradient_sum), sums.gradient_sum).unwrap();
-        compare("genes", flat(&actual.gene_gradient_sum), sums.gene_gradient_sum.as_flattened().iter().copied())
-            .unwrap();
+        compare(
+            "genes",
+            flat(&actual.gene_gradient_sum),
+            sums.gene_gradient_sum.as_flattened().iter().copied(),
+        )
+        .unwrap();
         // After one step, the first moments are a tenth of the gradients.
         let mut gradients = backend.state().unwrap().moments.first;
         scale(&mut gradients);
@@ -74,7 +80,8 @@ fn a_pixel_counts_for_one_of_a_mask_and_its_opposite() {
         reference::gradients(&cloud, view, &settings, Cutoff::Hard).1.pixels
     };
     let masked = masked_view(90);
-    let opposite = Mask { counts: masked.mask.as_ref().unwrap().counts.iter().map(|counts| !counts).collect() };
+    let opposite =
+        Mask { counts: masked.mask.as_ref().unwrap().counts.iter().map(|counts| !counts).collect() };
     let opposite = View { mask: Some(Arc::new(opposite)), ..view() };
     let [all, of_mask, of_opposite] = [view(), masked, opposite].map(|view| pixels(&view));
     assert!(all.iter().zip(of_mask.iter().zip(&of_opposite)).all(|(all, (a, b))| *all == a + b));
@@ -95,7 +102,8 @@ fn masked_scores_and_losses_are_those_of_renders() {
     let mut backend = backend_with(&cloud);
     backend.set_views(std::slice::from_ref(&view)).unwrap();
     let mask = view.mask.clone().unwrap();
-    let rendered = reference::render(&Cloud64::from(&cloud), &view.camera, &settings, Cutoff::Hard).picture.image;
+    let rendered =
+        reference::render(&Cloud64::from(&cloud), &view.camera, &settings, Cutoff::Hard).picture.image;
     let (expected, _) = reference::loss_of_view(&rendered, &view);
     let score = f64::from(backend.score(&[Default::default()], &[0], &settings).unwrap()[0]);
     let measured = backend.measure(Held::Cloud, &[0], &settings).unwrap()[0];
@@ -109,5 +117,9 @@ fn masked_scores_and_losses_are_those_of_renders() {
         if mask.counts[pixel] { (value - photo).powi(2) } else { 0.0 }
     };
     let mean = rendered.iter().enumerate().map(squared).sum::<f64>() / (3 * mask.counted()) as f64;
-    assert!((f64::from(measured.squared_error) / mean - 1.0).abs() < 1e-4, "{} {mean}", measured.squared_error);
+    assert!(
+        (f64::from(measured.squared_error) / mean - 1.0).abs() < 1e-4,
+        "{} {mean}",
+        measured.squared_error
+    );
 }

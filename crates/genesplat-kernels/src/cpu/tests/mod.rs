@@ -58,7 +58,8 @@ fn compare_gradients(actual: &Gaussians, expected: &Cloud64) -> Result<(), Strin
     compare_rows("positions", &actual.positions, &expected.positions, ROWS)?;
     compare_rows("log-scales", &actual.log_scales, &expected.log_scales, ROWS)?;
     compare_rows("rotations", &actual.rotations, &expected.rotations, ROWS)?;
-    let (actual_logits, expected_logits) = (actual.opacity_logits.as_chunks().0, expected.opacity_logits.as_chunks().0);
+    let (actual_logits, expected_logits) =
+        (actual.opacity_logits.as_chunks().0, expected.opacity_logits.as_chunks().0);
     compare_rows::<1>("opacities", actual_logits, expected_logits, ROWS)?;
     compare_rows("colours", &actual.sh, &expected.sh, ROWS)
 }
@@ -67,7 +68,11 @@ fn compare_columns(actual: &Gaussians, expected: &Cloud64) -> Result<(), String>
     compare("positions", flat(&actual.positions), expected.positions.as_flattened().iter().copied())?;
     compare("log-scales", flat(&actual.log_scales), expected.log_scales.as_flattened().iter().copied())?;
     compare("rotations", flat(&actual.rotations), expected.rotations.as_flattened().iter().copied())?;
-    compare("opacities", actual.opacity_logits.iter().map(|&v| f64::from(v)), expected.opacity_logits.iter().copied())?;
+    compare(
+        "opacities",
+        actual.opacity_logits.iter().map(|&v| f64::from(v)),
+        expected.opacity_logits.iter().copied(),
+    )?;
     compare("colours", flat(&actual.sh), expected.sh.as_flattened().iter().copied())
 }
 
@@ -75,7 +80,8 @@ fn compare_images(actual: &Image, expected: &[f64]) -> Result<(), String> {
     if actual.planes.len() != expected.len() {
         return Err(format!("{} values instead of {}", actual.planes.len(), expected.len()));
     }
-    let differences: Vec<f64> = actual.planes.iter().zip(expected).map(|(&a, &b)| (f64::from(a) - b).abs()).collect();
+    let differences: Vec<f64> =
+        actual.planes.iter().zip(expected).map(|(&a, &b)| (f64::from(a) - b).abs()).collect();
     // NaN is off, too.
     let off = differences.iter().filter(|&&d| d.is_nan() || d > 2e-4).count();
     let worst = differences.iter().copied().fold(0.0, f64::max);
@@ -114,7 +120,11 @@ fn backend_with(cloud: &Gaussians) -> CpuBackend {
     backend
 }
 
-fn buffers_of(cloud: &Gaussians, settings: &RenderSettings, signal: Option<DensitySignal>) -> (ViewBuffers, Pinhole) {
+fn buffers_of(
+    cloud: &Gaussians,
+    settings: &RenderSettings,
+    signal: Option<DensitySignal>,
+) -> (ViewBuffers, Pinhole) {
     let mut buffers = ViewBuffers::default();
     let camera = fill(&mut buffers, cloud, settings, signal);
     (buffers, camera)
@@ -144,10 +154,15 @@ fn inputs<'a>(
     UpdateInputs { splats, gradients, camera, settings, is_masked: false, share }
 }
 
-fn statistics(cloud: &Gaussians, settings: &RenderSettings, signal: DensitySignal) -> genesplat_core::Statistics {
+fn statistics(
+    cloud: &Gaussians,
+    settings: &RenderSettings,
+    signal: DensitySignal,
+) -> genesplat_core::Statistics {
     let mut backend = backend_with(cloud);
     let request = StatisticsRequest { density: Some(signal), genes: true };
-    let step = TrainStep { view: 0, settings: *settings, update: None, keeps_gradients: false, statistics: request };
+    let step =
+        TrainStep { view: 0, settings: *settings, update: None, keeps_gradients: false, statistics: request };
     backend.train_step(&step).unwrap();
     backend.statistics().unwrap()
 }

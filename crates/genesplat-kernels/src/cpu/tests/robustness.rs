@@ -5,15 +5,15 @@ use std::sync::Arc;
 
 use genesplat_core::device::copy_of;
 use genesplat_core::{
-    BackendError, Device, DeviceState, Edit, Gaussians, Held, PhotoStore, Renderer, RowEdit, ScreenFilter, SparseDelta,
-    StatisticsRequest, StoredPhoto, TrainStep, View,
+    BackendError, Device, DeviceState, Edit, Gaussians, Held, PhotoStore, Renderer, RowEdit, ScreenFilter,
+    SparseDelta, StatisticsRequest, StoredPhoto, TrainStep, View,
 };
 
 use super::{backend_with, classic_step, flat, mcmc_step};
 use crate::cpu::CpuBackend;
 use crate::fixtures::{
-    camera, cloud, far_needles, filters, individual_of, masked_view, poisoned_cloud, settings, small_view, step,
-    tall_view, view,
+    camera, cloud, far_needles, filters, individual_of, masked_view, poisoned_cloud, settings, small_view,
+    step, tall_view, view,
 };
 
 /// Photos that are not in memory, as far as a backend knows.
@@ -94,9 +94,11 @@ fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
             backend.train_step(&classic_step(1)).unwrap();
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
-            let map_of = |index: usize| Ok(vec![0.5; [view(), tall_view(), small_view()][index].counted_pixels()]);
+            let map_of =
+                |index: usize| Ok(vec![0.5; [view(), tall_view(), small_view()][index].counted_pixels()]);
             let weights = backend.blending_weights(&views, &map_of, &settings).unwrap();
-            let measured = [Held::Cloud, Held::Mean].map(|held| backend.measure(held, &views, &settings).unwrap());
+            let measured =
+                [Held::Cloud, Held::Mean].map(|held| backend.measure(held, &views, &settings).unwrap());
             (scores, weights, measured)
         })
     };
@@ -138,7 +140,8 @@ fn far_needles_leave_everything_finite() {
 #[test]
 fn a_gaussian_with_a_nan_is_none() {
     let clean = cloud(60);
-    let drawn = |cloud: &Gaussians, filter| backend_with(cloud).render(&camera(), &settings(3, filter)).unwrap();
+    let drawn =
+        |cloud: &Gaussians, filter| backend_with(cloud).render(&camera(), &settings(3, filter)).unwrap();
     for filter in filters() {
         let mut shown = 0;
         for parameter in 0..12 {
@@ -180,9 +183,14 @@ fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     first.add_to_mean().unwrap();
     first.train_step(&classic_step(2)).unwrap();
     let statistics = StatisticsRequest::default();
-    first.train_step(&TrainStep { update: None, keeps_gradients: true, statistics, ..classic_step(3) }).unwrap();
+    first
+        .train_step(&TrainStep { update: None, keeps_gradients: true, statistics, ..classic_step(3) })
+        .unwrap();
     let saved = first.state().unwrap();
-    assert!(saved.moments.pending.opacity_logits.iter().any(|&sum| sum != 0.0), "gradients wait for the next step");
+    assert!(
+        saved.moments.pending.opacity_logits.iter().any(|&sum| sum != 0.0),
+        "gradients wait for the next step"
+    );
     assert!(saved.mean.states() == 1 && saved.statistics.gene_views.contains(&2));
     let mut second = backend_with(&cloud(10));
     second.upload(saved.clone().into()).unwrap();

@@ -3,13 +3,15 @@
 use fearless_simd::Level;
 use genesplat_core::{DensitySignal, Device, Image, Photo, Renderer, ScreenFilter, StatisticsRequest, View};
 
-use super::{buffers_of, compare, compare_columns, compare_gradients, compare_images, fill, flat, inputs, statistics};
+use super::{
+    buffers_of, compare, compare_columns, compare_gradients, compare_images, fill, flat, inputs, statistics,
+};
 use crate::cpu::score::tests::loss_of_image;
 use crate::cpu::update::for_tests::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
-    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, shortest_row, small_view,
-    uniform, view,
+    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, shortest_row,
+    small_view, uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -22,8 +24,10 @@ fn images_match_the_reference() {
             let mut backend = CpuBackend::new();
             backend.upload(cloud.clone().into()).unwrap();
             let image = backend.render(&camera(), &settings).unwrap();
-            let expected = reference::render(&Cloud64::from(&cloud), &camera(), &settings, Cutoff::Hard).picture.image;
-            compare_images(&image, &expected).unwrap_or_else(|error| panic!("{filter:?}, degree {degree}: {error}"));
+            let expected =
+                reference::render(&Cloud64::from(&cloud), &camera(), &settings, Cutoff::Hard).picture.image;
+            compare_images(&image, &expected)
+                .unwrap_or_else(|error| panic!("{filter:?}, degree {degree}: {error}"));
         }
     }
 }
@@ -43,7 +47,8 @@ fn needles_match_the_reference() {
         buffers.render(Level::new(), &needles, &Pinhole::from(&camera), &settings);
         let (mut actual, mut expected) = (Vec::new(), Vec::new());
         for (_, splat) in buffers.splats.iter() {
-            let reference = reference::project::project(&needles64, splat.row as usize, &camera, &settings).unwrap();
+            let reference =
+                reference::project::project(&needles64, splat.row as usize, &camera, &settings).unwrap();
             let conic = [reference.conic.xx, 2.0 * reference.conic.xy, reference.conic.yy];
             expected.extend(conic.map(|term| -0.5 * std::f64::consts::LOG2_E * term));
             expected.push(reference.opacity);
@@ -60,7 +65,8 @@ fn loss_and_image_gradient_match_the_reference() {
     let level = Level::new();
     for (width, height) in [(WIDTH, HEIGHT), (5, 3), (1, 1), (16, 130)] {
         let values = 3 * (width * height) as usize;
-        let photo = Photo { width, height, rgb: (0..values).map(|i| (uniform(7, i) * 255.0) as u8).collect() };
+        let photo =
+            Photo { width, height, rgb: (0..values).map(|i| (uniform(7, i) * 255.0) as u8).collect() };
         let planes: Vec<f32> = (0..values).map(|i| 1.2 * uniform(8, i) - 0.1).collect();
         let expected_input: Vec<f64> = planes.iter().map(|&v| f64::from(v)).collect();
         let image = Image { width, height, planes };
@@ -107,16 +113,20 @@ fn parameter_gradients_match_the_reference() {
     for (filter, with_filter_3d) in filters().into_iter().zip([false, false, true]) {
         for degree in [0, 3] {
             let mut cloud = cloud(400);
-            cloud.filter_3d = with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
+            cloud.filter_3d =
+                with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
             let settings = settings(degree, filter);
             let (buffers, camera) = buffers_of(&cloud, &settings, Some(DensitySignal::Absolute));
             let inputs = inputs(&buffers, &camera, &settings, cloud.len());
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
-            let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
-            compare_gradients(&actual, &expected.cloud).unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
+            let (_, expected) =
+                reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
+            compare_gradients(&actual, &expected.cloud)
+                .unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
             let mut planted = actual;
             planted.positions[shortest_row(&expected.cloud.positions)] = [0.0; 3];
-            compare_columns(&planted, &expected.cloud).expect("the norm of a column does not show a row that is lost");
+            compare_columns(&planted, &expected.cloud)
+                .expect("the norm of a column does not show a row that is lost");
             assert!(compare_gradients(&planted, &expected.cloud).is_err(), "a row that is lost is missed");
             let norms = expected.mean2d_abs_ndc.iter().map(|[x, y]| x.hypot(*y));
             compare("absolute screen gradients", density.iter().map(|d| f64::from(d[0])), norms).unwrap();
@@ -142,7 +152,8 @@ fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
 
         let ViewBuffers { bins, gradient_rows, .. } = &buffers;
         let ends: Vec<usize> = bins.tile_starts.iter().map(|&start| start as usize).collect();
-        let is_finished = |tile: &[usize]| tile[1] > tile[0] + 300 && gradient_rows[tile[1] - 1].0 == [0.0; 16];
+        let is_finished =
+            |tile: &[usize]| tile[1] > tile[0] + 300 && gradient_rows[tile[1] - 1].0 == [0.0; 16];
         let finished = ends.windows(2).filter(|tile| is_finished(tile)).count();
         assert!(finished > 0, "logit {logit}: no tile was finished early");
     }
@@ -155,13 +166,15 @@ fn density_signals_match_the_reference() {
     let signed = statistics(&cloud, &settings, DensitySignal::Signed);
     let seen: Vec<f32> = expected.radius_px.iter().map(|&radius| f32::from(radius > 0)).collect();
     assert_eq!(signed.weight_sum, seen, "geometric visibility");
-    let norm = |row: usize| expected.mean2d_ndc[row][0].hypot(expected.mean2d_ndc[row][1]) * f64::from(seen[row]);
+    let norm =
+        |row: usize| expected.mean2d_ndc[row][0].hypot(expected.mean2d_ndc[row][1]) * f64::from(seen[row]);
     compare("signed", signed.gradient_sum.iter().map(|&v| f64::from(v)), (0..400).map(norm)).unwrap();
 
     let absolute = statistics(&cloud, &settings, DensitySignal::Absolute);
     assert_eq!(absolute.weight_sum, signed.weight_sum);
-    let norm_abs =
-        |row: usize| expected.mean2d_abs_ndc[row][0].hypot(expected.mean2d_abs_ndc[row][1]) * f64::from(seen[row]);
+    let norm_abs = |row: usize| {
+        expected.mean2d_abs_ndc[row][0].hypot(expected.mean2d_abs_ndc[row][1]) * f64::from(seen[row])
+    };
     compare("absolute", absolute.gradient_sum.iter().map(|&v| f64::from(v)), (0..400).map(norm_abs)).unwrap();
 
     let weighted = statistics(&cloud, &settings, DensitySignal::PixelWeighted { depth_threshold: 2.0 });

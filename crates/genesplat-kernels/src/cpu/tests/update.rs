@@ -45,9 +45,18 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
     let actual = backend.download().unwrap();
     let close = |a: f32, b: f64| (f64::from(a) - b).abs() < 1e-5 * b.abs().max(1.0);
     for row in 0..300 {
-        assert!((0..3).all(|k| close(actual.positions[row][k], expected.positions[row][k])), "position of row {row}");
-        assert!((0..3).all(|k| close(actual.log_scales[row][k], expected.log_scales[row][k])), "scale of row {row}");
-        assert!((0..4).all(|k| close(actual.rotations[row][k], expected.rotations[row][k])), "rotation of row {row}");
+        assert!(
+            (0..3).all(|k| close(actual.positions[row][k], expected.positions[row][k])),
+            "position of row {row}"
+        );
+        assert!(
+            (0..3).all(|k| close(actual.log_scales[row][k], expected.log_scales[row][k])),
+            "scale of row {row}"
+        );
+        assert!(
+            (0..4).all(|k| close(actual.rotations[row][k], expected.rotations[row][k])),
+            "rotation of row {row}"
+        );
         assert!((0..48).all(|k| close(actual.sh[row][k], expected.sh[row][k])), "colour of row {row}");
         assert!(close(actual.opacity_logits[row], expected.opacity_logits[row]), "opacity of row {row}");
     }
@@ -104,7 +113,11 @@ fn add(sum: &mut Cloud64, more: &Cloud64) {
 }
 
 /// Steps of two views, more than are kept, which see other parts of the cloud; each third step is of both.
-fn steps_of_two_views(mcmc: Option<McmcStep>, sums_views: bool, makes_up_at_once: bool) -> (Gaussians, Moments) {
+fn steps_of_two_views(
+    mcmc: Option<McmcStep>,
+    sums_views: bool,
+    makes_up_at_once: bool,
+) -> (Gaussians, Moments) {
     let mut elsewhere = view();
     elsewhere.camera.principal_px[0] += 50.0;
     let mut backend = backend_with(&cloud(300));
@@ -146,7 +159,11 @@ fn moments_without_a_gradient_end_at_zero() {
     backend.set_views(&[view(), elsewhere]).unwrap();
     backend.train_step(&classic_step(1)).unwrap();
     let is_zero = |m: &Gaussians| {
-        flat(&m.positions).chain(flat(&m.log_scales)).chain(flat(&m.rotations)).chain(flat(&m.sh)).all(|v| v == 0.0)
+        flat(&m.positions)
+            .chain(flat(&m.log_scales))
+            .chain(flat(&m.rotations))
+            .chain(flat(&m.sh))
+            .all(|v| v == 0.0)
             && m.opacity_logits.iter().all(|&v| v == 0.0)
     };
     assert!(!is_zero(&backend.state().unwrap().moments.first));

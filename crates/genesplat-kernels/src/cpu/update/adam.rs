@@ -1,5 +1,5 @@
-//! Stage `adam`: one dense optimiser step over a chunk of rows (Kingma & Ba 2015, with 3DGS's constants). Colours step in
-//! [`super::colour_steps`].
+//! Stage `adam`: one dense optimiser step over a chunk of rows (Kingma & Ba 2015, with 3DGS's constants).
+//! Colours step in [`super::colour_steps`].
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::Update;
@@ -26,8 +26,8 @@ impl Rate {
     }
 }
 
-/// First moments below this are 0. Without a gradient they would decay into denormal numbers, which are slow, and stay
-/// there. A step by this much is 1e-15 of a rate.
+/// First moments below this are 0. Without a gradient they would decay into denormal numbers, which are slow,
+/// and stay there. A step by this much is 1e-15 of a rate.
 const FIRST_MIN: f32 = 1e-30;
 
 /// Parameters, first and second moments of one group.
@@ -96,7 +96,14 @@ pub(super) fn step_sh<S: Simd>(
 
 /// Steps the 16 values from `at` on.
 #[inline(always)]
-fn step_vector<S: Simd>(simd: S, steps: V<S>, root: f32, at: usize, gradient: &[f32], [p, m, v]: &mut Column) {
+fn step_vector<S: Simd>(
+    simd: S,
+    steps: V<S>,
+    root: f32,
+    at: usize,
+    gradient: &[f32],
+    [p, m, v]: &mut Column,
+) {
     let range = at..at + LANES;
     let [p, m, v] = [&mut p[range.clone()], &mut m[range.clone()], &mut v[range.clone()]];
     let gradient = &gradient[range];

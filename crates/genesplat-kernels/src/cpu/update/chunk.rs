@@ -55,7 +55,10 @@ pub(crate) struct ChunkMut<'a> {
 impl<'a> ChunkMut<'a> {
     /// A column of the parameters and of both moments.
     #[inline(always)]
-    pub(crate) fn column(&mut self, of: impl for<'b> Fn(&'b mut RowsMut<'a>) -> &'b mut [f32]) -> [&mut [f32]; 3] {
+    pub(crate) fn column(
+        &mut self,
+        of: impl for<'b> Fn(&'b mut RowsMut<'a>) -> &'b mut [f32],
+    ) -> [&mut [f32]; 3] {
         [of(&mut self.parameters), of(&mut self.first), of(&mut self.second)]
     }
 }

@@ -1,9 +1,10 @@
 //! Steps of the optimiser that colours have yet to make.
 //!
-//! Adam moves rows without a splat, too: by their momentum. What such a step does to a row's colours, 48 of its 59
-//! parameters, depends on nothing but its moments and the step's rates. So the rates are kept, and a row makes up for its
-//! steps when it has a splat next: with the same operations, hence the same bits, but one way to memory for all of them.
-//! [`Trained`](super::Trained) lets all rows make up for theirs before anybody else reads or moves them.
+//! Adam moves rows without a splat, too: by their momentum. What such a step does to a row's colours, 48 of
+//! its 59 parameters, depends on nothing but its moments and the step's rates. So the rates are kept, and a
+//! row makes up for its steps when it has a splat next: with the same operations, hence the same bits, but
+//! one way to memory for all of them. [`Trained`](super::Trained) lets all rows make up for theirs before
+//! anybody else reads or moves them.
 
 use fearless_simd::{Level, Simd, dispatch};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
@@ -98,7 +99,8 @@ impl ColourSteps {
         let steps = &self.steps[..];
         let moments = moments.first.sh.chunks_mut(CHUNK).zip(moments.second.sh.chunks_mut(CHUNK));
         let rows = colours.chunks_mut(CHUNK).zip(moments).zip(self.made.chunks_mut(CHUNK));
-        let late = |((colours, (first, second)), made)| LateRows { colours, moments: [first, second], made, steps };
+        let late =
+            |((colours, (first, second)), made)| LateRows { colours, moments: [first, second], made, steps };
         rows.map(late).collect()
     }
 }

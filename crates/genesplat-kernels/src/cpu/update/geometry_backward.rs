@@ -92,7 +92,12 @@ fn covariance_gradient<S: Simd>(conic: &[V<S>; 3], sums: &[V<S>; LANES]) -> [V<S
 
 /// Adds what the opacity factor of the screen filter contributes to the covariance.
 #[inline(always)]
-fn add_filter_gradient<S: Simd>(filter: ScreenFilter, g: &Geometry<S>, factor_gradient: V<S>, cov: &mut [V<S>; 3]) {
+fn add_filter_gradient<S: Simd>(
+    filter: ScreenFilter,
+    g: &Geometry<S>,
+    factor_gradient: V<S>,
+    cov: &mut [V<S>; 3],
+) {
     let simd = factor_gradient.simd;
     let zero = V::splat(simd, 0.0);
     let (by_raw, by_dilated) = match filter {
@@ -121,7 +126,12 @@ fn dot<S: Simd>(a: &[V<S>; 3], b: &[f32; 3]) -> V<S> {
 
 /// By the mean in camera coordinates: through the Jacobian, and through the mean on the screen.
 #[inline(always)]
-fn camera_gradient<S: Simd>(g: &Geometry<S>, u: &[[V<S>; 3]; 2], mean_px: [V<S>; 2], camera: &Pinhole) -> [V<S>; 3] {
+fn camera_gradient<S: Simd>(
+    g: &Geometry<S>,
+    u: &[[V<S>; 3]; 2],
+    mean_px: [V<S>; 2],
+    camera: &Pinhole,
+) -> [V<S>; 3] {
     let zero = V::splat(g.inverse_z.simd, 0.0);
     let inverse_z2 = g.inverse_z * g.inverse_z;
     let mut t = [zero; 3];
@@ -135,8 +145,8 @@ fn camera_gradient<S: Simd>(g: &Geometry<S>, u: &[[V<S>; 3]; 2], mean_px: [V<S>;
         // Mean: f·x/z.
         let by_ratio = by_ratio + mean_px[axis] * focal;
         t[axis] = by_ratio * g.inverse_z;
-        t[2] +=
-            (third * g.clamped_ratio[axis] - diagonal) * inverse_z2 * focal - by_ratio * g.ratio[axis] * g.inverse_z;
+        t[2] += (third * g.clamped_ratio[axis] - diagonal) * inverse_z2 * focal
+            - by_ratio * g.ratio[axis] * g.inverse_z;
     }
     t
 }

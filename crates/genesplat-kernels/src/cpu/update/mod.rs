@@ -1,8 +1,9 @@
-//! From gradient rows to stepped parameters, one chunk of rows at a time: stages `project_backward`, `adam` and
-//! `noise`, fused.
+//! From gradient rows to stepped parameters, one chunk of rows at a time: stages `project_backward`, `adam`
+//! and `noise`, fused.
 //!
-//! A chunk's gradients live in the cache only, so every parameter is read and written once a step. Adam is dense, as
-//! published: rows without a gradient still move by their momentum. Their colours do so later ([`colour_steps`]).
+//! A chunk's gradients live in the cache only, so every parameter is read and written once a step. Adam is
+//! dense, as published: rows without a gradient still move by their momentum. Their colours do so later
+//! ([`colour_steps`]).
 
 mod adam;
 mod chunk;
@@ -73,30 +74,33 @@ pub(crate) fn update(
     let (colour_step, made) =
         step.map(|update| colour_steps.add(update, inputs.settings.sh_degree, cloud.len())).unzip();
     let work = chunks_mut(cloud, moments, statistics, made.unwrap_or_default());
-    work.into_par_iter().enumerate().for_each_init(ChunkGradients::default, |gradients, (index, mut chunk)| {
-        let splats = inputs.splats.chunk(index);
-        let filter_3d = filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
-        dispatch!(level, simd => {
-            gradients.clear();
-            let view = ChunkView { first_row: index * CHUNK, rows: &chunk.parameters, filter_3d };
-            project_backward(simd, inputs, splats, &view, request.density, gradients);
-            let seen = (inputs.splats.seen(index), inputs.is_masked);
-            add_statistics(&mut chunk.statistics, gradients, seen, request);
-            if let Some((step, colour_step)) = step.zip(colour_step) {
-                take_pending(gradients, &mut chunk.pending);
-                colour_step.apply(simd, gradients, &mut chunk);
-                if let Some(mcmc) = &step.mcmc {
-                    regularise(gradients, &chunk.parameters, mcmc, all_rows);
+    work.into_par_iter().enumerate().for_each_init(
+        ChunkGradients::default,
+        |gradients, (index, mut chunk)| {
+            let splats = inputs.splats.chunk(index);
+            let filter_3d = filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
+            dispatch!(level, simd => {
+                gradients.clear();
+                let view = ChunkView { first_row: index * CHUNK, rows: &chunk.parameters, filter_3d };
+                project_backward(simd, inputs, splats, &view, request.density, gradients);
+                let seen = (inputs.splats.seen(index), inputs.is_masked);
+                add_statistics(&mut chunk.statistics, gradients, seen, request);
+                if let Some((step, colour_step)) = step.zip(colour_step) {
+                    take_pending(gradients, &mut chunk.pending);
+                    colour_step.apply(simd, gradients, &mut chunk);
+                    if let Some(mcmc) = &step.mcmc {
+                        regularise(gradients, &chunk.parameters, mcmc, all_rows);
+                    }
+                    adam(simd, step, gradients, &mut chunk);
+                } else if keeps {
+                    keep_pending(gradients, &mut chunk.pending);
                 }
-                adam(simd, step, gradients, &mut chunk);
-            } else if keeps {
-                keep_pending(gradients, &mut chunk.pending);
+            });
+            if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {
+                noise(&mut chunk.parameters, first_row + index * CHUNK, mcmc);
             }
-        });
-        if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {
-            noise(&mut chunk.parameters, first_row + index * CHUNK, mcmc);
-        }
-    });
+        },
+    );
     cloud.filter_3d = filter_3d;
 }
 

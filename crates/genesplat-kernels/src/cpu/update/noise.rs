@@ -1,7 +1,7 @@
 //! Stage `noise`: what 3DGS-MCMC adds to an optimiser step (Kheradmand et al. 2024), over a chunk of rows.
 //!
-//! [`regularise`] runs before `adam`, [`noise`] after it (stochastic gradient Langevin dynamics). Noise is a pure
-//! function of (seed, step, row), so chunks may run on any thread.
+//! [`regularise`] runs before `adam`, [`noise`] after it (stochastic gradient Langevin dynamics). Noise is a
+//! pure function of (seed, step, row), so chunks may run on any thread.
 
 use genesplat_core::Stream;
 use genesplat_core::backend::McmcStep;
@@ -11,7 +11,8 @@ use genesplat_core::gaussians::{logit, sigmoid};
 
 use super::chunk::{ChunkGradients, RowsMut};
 
-/// Noise fainter than this, at opacities above 0.28, is left out: drawing normal numbers would cost more than Adam.
+/// Noise fainter than this, at opacities above 0.28, is left out: drawing normal numbers would cost more than
+/// Adam.
 const FAINTNESS_MIN: f32 = 1e-12;
 
 /// From this logit on, noise is fainter than half of that, so that no rounding matters.
@@ -19,7 +20,8 @@ fn logit_without_noise() -> f32 {
     logit(NOISE_OPACITY - logit(0.5 * FAINTNESS_MIN) / NOISE_STEEPNESS)
 }
 
-/// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)` of a cloud of `cloud_rows` rows.
+/// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)` of a cloud of
+/// `cloud_rows` rows.
 pub(crate) fn regularise(gradients: &mut ChunkGradients, rows: &RowsMut, mcmc: &McmcStep, cloud_rows: usize) {
     let opacity_weight = mcmc.opacity_weight / cloud_rows as f32;
     let scale_weight = mcmc.scale_weight / (3.0 * cloud_rows as f32);
@@ -79,7 +81,11 @@ mod tests {
     fn whoever_is_passed_over_has_no_noise() {
         let first = logit_without_noise();
         assert!(faintness(first - 0.1) > FAINTNESS_MIN, "few are asked in vain: {first}");
-        assert!((0..100_000).map(|step| first + 1e-4 * step as f32).all(|logit| faintness(logit) <= FAINTNESS_MIN));
+        assert!(
+            (0..100_000)
+                .map(|step| first + 1e-4 * step as f32)
+                .all(|logit| faintness(logit) <= FAINTNESS_MIN)
+        );
         assert!(faintness(f32::INFINITY) <= FAINTNESS_MIN);
     }
 }

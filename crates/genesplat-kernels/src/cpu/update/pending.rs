@@ -1,4 +1,5 @@
-//! Gradients of several views for one optimiser step: kept view by view, and taken with those of the last one.
+//! Gradients of several views for one optimiser step: kept view by view, and taken with those of the last
+//! one.
 
 use super::chunk::{ChunkGradients, RowsMut};
 
@@ -18,7 +19,8 @@ pub(crate) fn keep_pending(gradients: &ChunkGradients, pending: &mut RowsMut) {
 /// Adds what waits to the gradients of a view, and leaves zeros.
 pub(crate) fn take_pending(gradients: &mut ChunkGradients, pending: &mut RowsMut) {
     for row in 0..pending.positions.len() {
-        let ([x, y, z], [sx, sy, sz]) = (take(&mut pending.positions[row]), take(&mut pending.log_scales[row]));
+        let ([x, y, z], [sx, sy, sz]) =
+            (take(&mut pending.positions[row]), take(&mut pending.log_scales[row]));
         let [opacity] = take(std::array::from_mut(&mut pending.opacity_logits[row]));
         add(&mut gradients.genes[row], &[x, y, z, sx, sy, sz, opacity]);
         add(&mut gradients.rotations[row], &take(&mut pending.rotations[row]));

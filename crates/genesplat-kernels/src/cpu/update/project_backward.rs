@@ -1,5 +1,5 @@
-//! Stage `project_backward`: from the gradient rows of a chunk's splats to the gradients of its Gaussians' raw
-//! parameters.
+//! Stage `project_backward`: from the gradient rows of a chunk's splats to the gradients of its Gaussians'
+//! raw parameters.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::DensitySignal;
@@ -41,7 +41,8 @@ pub(crate) fn project_backward<S: Simd>(
         let params = Params::load(simd, |lane| view.raw(local(lane)));
         let geometry = Geometry::new(&params, inputs.camera, inputs.settings.filter);
         let columns: [V<S>; LANES] = array!(k => V::simd_from(simd, sums[k]));
-        let gradients = geometry_backward(&params, &geometry, &columns, inputs.camera, inputs.settings.filter);
+        let gradients =
+            geometry_backward(&params, &geometry, &columns, inputs.camera, inputs.settings.filter);
         // 3. Colours, and everything to its row.
         for (lane, splat) in splats.iter().enumerate() {
             store(inputs, view, signal, splat, lane, &sums, &gradients, &geometry.t[2], out);

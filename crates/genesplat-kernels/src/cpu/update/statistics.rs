@@ -18,7 +18,8 @@ pub(crate) fn density(
     depth: f32,
 ) -> [f32; 2] {
     let ndc = |gradient: [f32; 2]| {
-        let [x, y] = [gradient[0] * 0.5 * camera.size_px[0] as f32, gradient[1] * 0.5 * camera.size_px[1] as f32];
+        let [x, y] =
+            [gradient[0] * 0.5 * camera.size_px[0] as f32, gradient[1] * 0.5 * camera.size_px[1] as f32];
         (x * x + y * y).sqrt()
     };
     match signal {
@@ -33,7 +34,8 @@ pub(crate) fn density(
     }
 }
 
-/// Adds the gradients of a chunk, of which the rows in `seen` are visible; under a mask, those that also have a gradient.
+/// Adds the gradients of a chunk, of which the rows in `seen` are visible; under a mask, those that also have
+/// a gradient.
 #[inline(always)]
 pub(crate) fn add_statistics(
     out: &mut StatisticsMut,

@@ -1,4 +1,5 @@
-//! What the optimiser moves. Only a step of training sees colours that are behind; all others get them as they should be.
+//! What the optimiser moves. Only a step of training sees colours that are behind; all others get them as
+//! they should be.
 
 use fearless_simd::Level;
 use genesplat_core::{Gaussians, Moments, RenderSettings};
@@ -55,7 +56,8 @@ impl Trained {
 
     /// Room for the step that is next: of colours, and for gradients that it keeps.
     pub(crate) fn prepare_step(&mut self, level: Level, keeps_gradients: bool) {
-        // Where gradients of other views wait, any row may make the step, with a splat in this view or without.
+        // Where gradients of other views wait, any row may make the step, with a splat in this view or
+        // without.
         if self.colour_steps.is_full() || self.has_pending() {
             self.settled(level);
         }
@@ -65,7 +67,13 @@ impl Trained {
     }
 
     /// The splats of one view. Their colours make the steps that they have yet to make.
-    pub(crate) fn project(&mut self, level: Level, camera: &Pinhole, settings: &RenderSettings, out: &mut Splats) {
+    pub(crate) fn project(
+        &mut self,
+        level: Level,
+        camera: &Pinhole,
+        settings: &RenderSettings,
+        out: &mut Splats,
+    ) {
         let mut colours = std::mem::take(&mut self.cloud.sh);
         let late = self.colour_steps.late_rows(&mut colours, &mut self.moments);
         project_coloured(level, &self.cloud, late, camera, settings, out);

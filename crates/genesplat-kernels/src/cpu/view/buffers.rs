@@ -77,7 +77,8 @@ impl ViewBuffers {
         });
     }
 
-    /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal` needs.
+    /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal`
+    /// needs.
     pub fn backward(
         &mut self,
         level: Level,

@@ -128,8 +128,9 @@ impl<S: Simd> Geometry<S> {
 
         // 5. Opacity, with what the filters take from it.
         let opacity = sigmoid(params.opacity_logit);
-        let volume_ratio =
-            (variance_raw[0] / variance[0]) * (variance_raw[1] / variance[1]) * (variance_raw[2] / variance[2]);
+        let volume_ratio = (variance_raw[0] / variance[0])
+            * (variance_raw[1] / variance[1])
+            * (variance_raw[2] / variance[2]);
         let factor_3d = params.filter_3d.simd_gt(0.0).select(volume_ratio.sqrt(), one);
         let factor_2d = screen_factor(filter, det_raw, det);
         let opacity_effective = opacity * factor_3d * factor_2d;
@@ -170,8 +171,8 @@ fn weighted_dot<S: Simd>(weight: &[V<S>; 3], a: &[V<S>; 3], b: &[V<S>; 3]) -> V<
     weight[0] * a[0] * b[0] + weight[1] * a[1] * b[1] + weight[2] * a[2] * b[2]
 }
 
-/// Determinant of `Σ_k variance_k w_k w_kᵀ`, as a sum of squares (Cauchy and Binet): `xx · yy − xy²` of a needle is a
-/// small difference of large numbers.
+/// Determinant of `Σ_k variance_k w_k w_kᵀ`, as a sum of squares (Cauchy and Binet): `xx · yy − xy²` of a
+/// needle is a small difference of large numbers.
 #[inline(always)]
 fn determinant<S: Simd>(variance: &[V<S>; 3], w: &[[V<S>; 3]; 2]) -> V<S> {
     let [xy, xz, yz] = [minor(w, 0, 1), minor(w, 0, 2), minor(w, 1, 2)];

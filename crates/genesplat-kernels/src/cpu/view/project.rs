@@ -27,7 +27,13 @@ impl Colours for &[[f32; SH_STRIDE]] {
 }
 
 /// Projects the whole cloud; buffers are reused from call to call.
-pub(crate) fn project(level: Level, cloud: &Gaussians, camera: &Pinhole, settings: &RenderSettings, out: &mut Splats) {
+pub(crate) fn project(
+    level: Level,
+    cloud: &Gaussians,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    out: &mut Splats,
+) {
     let colours = vec![&cloud.sh[..]; cloud.len().div_ceil(CHUNK)];
     project_coloured(level, cloud, colours, camera, settings, out);
 }
@@ -46,8 +52,8 @@ pub(crate) fn project_coloured(
     project_chunks(level, cloud, cloud.len(), version, colours, camera, settings, out);
 }
 
-/// Projects `count` versions of rows, `version(index)` a row and its genes, as if each were a row of its own: a splat's
-/// `row` is its version's index.
+/// Projects `count` versions of rows, `version(index)` a row and its genes, as if each were a row of its own:
+/// a splat's `row` is its version's index.
 pub(crate) fn project_versions(
     level: Level,
     cloud: &Gaussians,
@@ -82,8 +88,8 @@ fn project_chunks(
     });
 }
 
-/// Projects as many versions as there are slots, from `first` on; `seen` is filled unless it is empty. Returns how many
-/// splats that makes, which come first.
+/// Projects as many versions as there are slots, from `first` on; `seen` is filled unless it is empty.
+/// Returns how many splats that makes, which come first.
 #[inline(always)]
 fn project_chunk<S: Simd>(
     simd: S,
@@ -170,8 +176,9 @@ impl Lanes {
         let grid = camera.grid();
         (0..2).all(|axis| {
             let first = ((mean_px[axis] - radius_px) / TILE as f32).trunc().clamp(0.0, grid[axis] as f32);
-            let end =
-                ((mean_px[axis] + radius_px + (TILE - 1) as f32) / TILE as f32).trunc().clamp(0.0, grid[axis] as f32);
+            let end = ((mean_px[axis] + radius_px + (TILE - 1) as f32) / TILE as f32)
+                .trunc()
+                .clamp(0.0, grid[axis] as f32);
             end > first
         })
     }
@@ -200,7 +207,11 @@ impl Lanes {
         let scale = LOG2_E / self.det[lane];
         Some(Splat {
             mean_px,
-            conic_log2: [-0.5 * scale * self.cov[2][lane], scale * self.cov[1][lane], -0.5 * scale * self.cov[0][lane]],
+            conic_log2: [
+                -0.5 * scale * self.cov[2][lane],
+                scale * self.cov[1][lane],
+                -0.5 * scale * self.cov[0][lane],
+            ],
             log2_opacity,
             depth: self.t[2][lane],
             half_extent_px,

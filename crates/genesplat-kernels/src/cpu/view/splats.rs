@@ -2,7 +2,8 @@
 
 use crate::cpu::bytes_of;
 
-/// Rows that one task projects and updates. A constant, so that results do not depend on the number of threads.
+/// Rows that one task projects and updates. A constant, so that results do not depend on the number of
+/// threads.
 pub const CHUNK: usize = 256;
 
 /// One splat of one view: a cache line.
@@ -11,7 +12,8 @@ pub const CHUNK: usize = 256;
 pub struct Splat {
     /// Mean, px.
     pub mean_px: [f32; 2],
-    /// `[−½·A, −B, −½·C] · log2(e)` of the inverse covariance `[A B; B C]`: the exponent comes out in powers of two.
+    /// `[−½·A, −B, −½·C] · log2(e)` of the inverse covariance `[A B; B C]`: the exponent comes out in powers
+    /// of two.
     pub conic_log2: [f32; 3],
     /// `log2` of the effective opacity.
     pub log2_opacity: f32,
@@ -36,8 +38,8 @@ impl Splat {
     }
 }
 
-/// The splats of a view: each chunk of rows has as many slots as rows, and its splats fill the first of them, in row
-/// order. A splat's index is its slot.
+/// The splats of a view: each chunk of rows has as many slots as rows, and its splats fill the first of them,
+/// in row order. A splat's index is its slot.
 #[derive(Clone, Debug, Default)]
 pub struct Splats {
     /// One slot a row `[N]`.

@@ -1,8 +1,8 @@
 //! `genesplat-lab bench genetic`: how fast a population is scored, against rendering each individual in full.
 //!
-//! The state is the one that the search meets: a cloud just after an opacity reset, and the initial population of the
-//! paper's search. The *plain way* is a full render and the whole loss, one individual and view after the other; the
-//! changes themselves are made off the clock. Both ways must find the same losses.
+//! The state is the one that the search meets: a cloud just after an opacity reset, and the initial
+//! population of the paper's search. The *plain way* is a full render and the whole loss, one individual and
+//! view after the other; the changes themselves are made off the clock. Both ways must find the same losses.
 
 use std::time::Instant;
 

@@ -1,8 +1,9 @@
-//! `genesplat-lab bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
+//! `genesplat-lab bench gpu`: what training steps and scoring cost on the graphics device, at several sizes,
+//! in one call.
 //!
-//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read: the
-//! device's own, stage by stage, and the host's, over steps that are submitted one after the other without waiting, as
-//! in training. Scoring is measured as in `bench genetic`.
+//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
+//! the device's own, stage by stage, and the host's, over steps that are submitted one after the other
+//! without waiting, as in training. Scoring is measured as in `bench genetic`.
 
 use std::time::Instant;
 
@@ -174,8 +175,8 @@ impl Bench {
         let seconds = (0..SCORINGS)
             .map(|_| self.seconds(|bench| Ok(bench.backend.score(&individuals, &[0], &bench.settings)?)));
         let scored_seconds = middle(seconds.collect::<Result<Vec<_>>>()?);
-        // As many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians make no
-        // difference to them.
+        // As many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians
+        // make no difference to them.
         let plainly = |count: usize| move |bench: &mut Self| Ok(_ = bench.plain_losses(count)?);
         self.seconds(plainly(1))?;
         let plain_seconds = self.seconds(plainly(individuals.len()))?;
@@ -221,8 +222,9 @@ impl Bench {
         self.backend.stop_timing();
         let names = samples.first().cloned().unwrap_or_default();
         let stage = |index: usize| 1e3 * middle(samples.iter().map(|sample| sample[index].1));
-        let counted =
-            |count: fn(&StepReport) -> usize| middle(reports.iter().map(|report| count(report) as f64)) as usize;
+        let counted = |count: fn(&StepReport) -> usize| {
+            middle(reports.iter().map(|report| count(report) as f64)) as usize
+        };
         Ok(Timed {
             stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
             visible: counted(|report| report.visible),

@@ -1,7 +1,8 @@
 //! `genesplat-lab bench step`: what a training step costs, stage by stage.
 //!
-//! Steps are real ones (render, loss, backward, statistics, Adam) with learning rates of zero, so that the cloud stays
-//! the same and every step on one view costs the same. Medians are reported: a step can only be slowed down by others.
+//! Steps are real ones (render, loss, backward, statistics, Adam) with learning rates of zero, so that the
+//! cloud stays the same and every step on one view costs the same. Medians are reported: a step can only be
+//! slowed down by others.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -79,7 +80,8 @@ fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: Render
 impl Report {
     fn new(gaussians: usize, camera: &Camera, samples: &[Sample]) -> Self {
         let threads = rayon::current_num_threads();
-        let milliseconds = |seconds: StageClock| 1e3 * middle(samples.iter().map(|sample| seconds(&sample.stages)));
+        let milliseconds =
+            |seconds: StageClock| 1e3 * middle(samples.iter().map(|sample| seconds(&sample.stages)));
         // Of all threads together, so that it compares with one core's roofline.
         let core_nanoseconds = |seconds: StageClock| {
             let each = |sample: &Sample| 1e9 * seconds(&sample.stages) * threads as f64 / sample.tile_splats;

@@ -1,7 +1,8 @@
 //! A trained cloud, or one that resembles one, at any number of Gaussians.
 //!
-//! For the latter, points are sampled again with a jitter of their own spacing until there are as many as wanted;
-//! Gaussians as wide as the distance to their new neighbours then cover the same surfaces, as densification does.
+//! For the latter, points are sampled again with a jitter of their own spacing until there are as many as
+//! wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces, as
+//! densification does.
 
 use std::path::Path;
 
@@ -20,8 +21,9 @@ const GAUSSIANS: usize = 55_000;
 const SIZE_PX: [u32; 2] = [268, 478];
 /// Opacities are spread evenly over this range.
 const OPACITY: [f32; 2] = [0.02, 0.98];
-/// Width of a Gaussian against the distance to its neighbours. With this, a tile list has as many entries a Gaussian as
-/// one of a real cloud in training (fox, 270x480 px: 3.4 at 14,678 Gaussians, 2.1 at 65,353, 1.8 at 130,564).
+/// Width of a Gaussian against the distance to its neighbours. With this, a tile list has as many entries a
+/// Gaussian as one of a real cloud in training (fox, 270x480 px: 3.4 at 14,678 Gaussians, 2.1 at 65,353, 1.8
+/// at 130,564).
 const WIDTH: f32 = 0.5;
 /// Standard deviation of the natural logarithm of an axis against the mean of the axes.
 const STRETCH: f32 = 0.6;
@@ -124,7 +126,10 @@ fn trained_looking(points: &[ColouredPoint]) -> Result<Gaussians> {
     let rng = Rng::new(0);
     for row in 0..cloud.len() {
         let stretch = normals(&rng, 2, row);
-        cloud.log_scales[row].iter_mut().zip(stretch).for_each(|(axis, normal)| *axis += WIDTH.ln() + STRETCH * normal);
+        cloud.log_scales[row]
+            .iter_mut()
+            .zip(stretch)
+            .for_each(|(axis, normal)| *axis += WIDTH.ln() + STRETCH * normal);
         cloud.rotations[row] = normals(&rng, 3, row);
         let uniform = rng.at(Stream::Test, 4, row as u32, 0).uniform(0);
         cloud.opacity_logits[row] = logit(OPACITY[0] + (OPACITY[1] - OPACITY[0]) * uniform);

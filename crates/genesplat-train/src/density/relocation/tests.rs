@@ -115,8 +115,8 @@ fn growth_ends_at_the_cap_and_never_shrinks() {
 
 #[test]
 fn a_row_may_be_relocated_to_and_grown_from_in_one_event() {
-    // The only living row takes in the dead one, and then each of both may be copied: four share 0.75 in the end if
-    // each is copied once.
+    // The only living row takes in the dead one, and then each of both may be copied: four share 0.75 in the
+    // end if each is copied once.
     let plan = plan_of(&[0.75, 0.001], Rules { growth: 1.0, ..RULES });
     assert_eq!((plan.relocated, plan.cloned), (1, 2));
     assert_eq!(plan.edit.sources, [0; 4]);

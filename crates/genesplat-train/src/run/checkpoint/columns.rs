@@ -45,7 +45,12 @@ impl<W: Write> JointWriter<'_, W> {
         self.column(column.len(), PIECE, |rows| words_of(&column[rows], u32::to_le_bytes))
     }
 
-    fn column(&mut self, own: usize, piece: usize, bytes: impl Fn(Range<usize>) -> Vec<u8>) -> io::Result<()> {
+    fn column(
+        &mut self,
+        own: usize,
+        piece: usize,
+        bytes: impl Fn(Range<usize>) -> Vec<u8>,
+    ) -> io::Result<()> {
         let counts = self.counts(own)?;
         self.value(&counts.iter().sum::<usize>());
         self.rows(&counts, piece, bytes)
@@ -62,7 +67,9 @@ impl<W: Write> JointWriter<'_, W> {
     }
 
     fn moments(&mut self, moments: &Moments) -> io::Result<()> {
-        [&moments.first, &moments.second, &moments.pending].into_iter().try_for_each(|table| self.cloud(table))
+        [&moments.first, &moments.second, &moments.pending]
+            .into_iter()
+            .try_for_each(|table| self.cloud(table))
     }
 
     fn statistics(&mut self, statistics: &Statistics) -> io::Result<()> {
@@ -122,7 +129,11 @@ impl<R: Read> ColumnReader<'_, R> {
         let mut bytes = Vec::new();
         let read = (&mut self.input).take(count).read_to_end(&mut bytes);
         read.map_err(|error| self.input.cause_of(error))?;
-        if bytes.len() as u64 == count { Ok(bytes) } else { Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()) }
+        if bytes.len() as u64 == count {
+            Ok(bytes)
+        } else {
+            Err(io::Error::from(io::ErrorKind::UnexpectedEof).into())
+        }
     }
 
     /// A column of rows of `N` floats.
@@ -139,7 +150,10 @@ impl<R: Read> ColumnReader<'_, R> {
     }
 
     /// The own rows of a column of rows of `N` words.
-    fn words<const N: usize, T>(&mut self, of_row: impl Fn([[u8; 4]; N]) -> T) -> Result<Vec<T>, CheckpointError> {
+    fn words<const N: usize, T>(
+        &mut self,
+        of_row: impl Fn([[u8; 4]; N]) -> T,
+    ) -> Result<Vec<T>, CheckpointError> {
         let (rows, at_once) = (self.value::<usize>()?, PIECE / N);
         let share = (self.share)(rows);
         let (mut kept, mut bytes) = (Vec::new(), Vec::new());

@@ -5,7 +5,8 @@ use std::ops::Range;
 
 use genesplat_core::RowOwners;
 
-/// Writes such a file. What cannot be written is told at the end, since the others would wait for who does not go on.
+/// Writes such a file. What cannot be written is told at the end, since the others would wait for who does
+/// not go on.
 pub struct JointWriter<'a, W> {
     out: W,
     owners: &'a dyn RowOwners,
@@ -31,7 +32,12 @@ impl<'a, W: Write> JointWriter<'a, W> {
     }
 
     /// The rows of all, `piece` of them at a time; `bytes` makes those of own ones.
-    pub fn rows(&mut self, counts: &[usize], piece: usize, bytes: impl Fn(Range<usize>) -> Vec<u8>) -> io::Result<()> {
+    pub fn rows(
+        &mut self,
+        counts: &[usize],
+        piece: usize,
+        bytes: impl Fn(Range<usize>) -> Vec<u8>,
+    ) -> io::Result<()> {
         for (owner, &count) in counts.iter().enumerate() {
             for start in (0..count).step_by(piece) {
                 let is_own = owner == self.owners.rank();

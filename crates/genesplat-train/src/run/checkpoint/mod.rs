@@ -1,8 +1,9 @@
 //! All that a run needs to go on as if it had never stopped, and its bytes.
 //!
-//! Randomness needs no state (streams are addressed by iteration), so a checkpoint is the device's contents plus a few
-//! counters. The format is private to this version of the crate: a magic number, what the run began with, counters as `postcard` writes them, columns
-//! of rows, and a checksum over everything, so that a file cut short by a full disk is recognised.
+//! Randomness needs no state (streams are addressed by iteration), so a checkpoint is the device's contents
+//! plus a few counters. The format is private to this version of the crate: a magic number, what the run
+//! began with, counters as `postcard` writes them, columns of rows, and a checksum over everything, so that a
+//! file cut short by a full disk is recognised.
 
 use std::io::{self, Read, Write};
 use std::ops::Range;
@@ -46,7 +47,8 @@ impl Cursor {
 /// What a run has done so far.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Degree of the spherical harmonics that the run began with: 0 for points, that of a cloud from elsewhere.
+    /// Degree of the spherical harmonics that the run began with: 0 for points, that of a cloud from
+    /// elsewhere.
     pub sh_degree_start: u8,
     /// Adam steps made.
     pub steps: u32,
@@ -75,8 +77,8 @@ impl Progress {
 /// A run that can be resumed exactly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
-    /// What the run began with, in words of whoever runs it, who tells by them whose checkpoint it is. Empty where nobody has
-    /// said so.
+    /// What the run began with, in words of whoever runs it, who tells by them whose checkpoint it is. Empty
+    /// where nobody has said so.
     pub origin: String,
     /// Where to go on.
     pub cursor: Cursor,
@@ -125,14 +127,17 @@ impl Checkpoint {
         inner.flush()
     }
 
-    /// Reads a checkpoint; wrap files in a `BufReader`. A damaged length ends at the end of the file, never in a huge
-    /// allocation: columns grow as they are read.
+    /// Reads a checkpoint; wrap files in a `BufReader`. A damaged length ends at the end of the file, never
+    /// in a huge allocation: columns grow as they are read.
     pub fn read(reader: impl Read) -> Result<Self, CheckpointError> {
         Self::read_share(reader, &|rows| 0..rows)
     }
 
     /// The same, of which only some rows are kept: `share` says which, of so many.
-    pub fn read_share(reader: impl Read, share: &dyn Fn(usize) -> Range<usize>) -> Result<Self, CheckpointError> {
+    pub fn read_share(
+        reader: impl Read,
+        share: &dyn Fn(usize) -> Range<usize>,
+    ) -> Result<Self, CheckpointError> {
         let mut columns = ColumnReader { input: Summed::new(reader), share };
         let origin = columns.origin()?;
         let (cursor, progress) = (columns.value()?, columns.value()?);
@@ -158,7 +163,9 @@ impl Checkpoint {
 
     fn check(&self) -> Result<(), CheckpointError> {
         if self.progress.sh_degree_start > SH_DEGREE_MAX {
-            return Err(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"));
+            return Err(CheckpointError::Damaged(
+                "it names a degree of spherical harmonics that there is not",
+            ));
         }
         let DeviceState { cloud, moments, statistics, mean, .. } = &self.state;
         let n = cloud.len();
@@ -222,7 +229,9 @@ mod tests {
                 },
                 mean: StateMean::new(4, Gaussians::zeros(3)),
             },
-            virtual_pictures: (0..2).map(|_| Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() })).collect(),
+            virtual_pictures: (0..2)
+                .map(|_| Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() }))
+                .collect(),
         }
     }
 
@@ -249,14 +258,19 @@ mod tests {
         let bytes = bytes(&example());
         let (_, sum) = bytes.split_last_chunk().unwrap();
         let expected = (5330, 10_436_916_917_770_768_942);
-        assert_eq!((bytes.len(), u64::from_le_bytes(*sum)), expected, "a change of these asks for a change of MAGIC");
+        assert_eq!(
+            (bytes.len(), u64::from_le_bytes(*sum)),
+            expected,
+            "a change of these asks for a change of MAGIC"
+        );
     }
 
     /// Of each column the share of a process, also of one that has none.
     #[test]
     fn shares_are_read_without_the_other_rows() {
         let (checkpoint, bytes) = (example(), bytes(&example()));
-        let read = |share: &dyn Fn(usize) -> Range<usize>| Checkpoint::read_share(bytes.as_slice(), share).unwrap();
+        let read =
+            |share: &dyn Fn(usize) -> Range<usize>| Checkpoint::read_share(bytes.as_slice(), share).unwrap();
         let (first, rest) = (read(&|_| 0..1), read(&|rows| 1..rows));
         let mut cloud = first.state.cloud;
         cloud.append(rest.state.cloud);

@@ -1,5 +1,5 @@
-//! A backend without a renderer: parameters drift in a way that depends on everything a step is told, fitness is the
-//! distance from a target, and every call is recorded.
+//! A backend without a renderer: parameters drift in a way that depends on everything a step is told, fitness
+//! is the distance from a target, and every call is recorded.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use genesplat_core::backend::StepReport;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
-    BackendError, Camera, Device, DeviceState, Edit, Gaussians, Genes, Held, Image, Moments, RenderSettings, Renderer,
-    RowEdit, SparseDelta, StateMean, Statistics, TrainStep, Upload, View, ViewLoss,
+    BackendError, Camera, Device, DeviceState, Edit, Gaussians, Genes, Held, Image, Moments, RenderSettings,
+    Renderer, RowEdit, SparseDelta, StateMean, Statistics, TrainStep, Upload, View, ViewLoss,
 };
 
 /// What the pipeline asked for, in order; reads are not recorded.
@@ -151,7 +151,8 @@ impl FakeBackend {
         (squares / cloud.len() as f64) as f32
     }
 
-    /// Counts a call during which a run may be stopped, and says how it fails, if it does. A lost device fails ever after.
+    /// Counts a call during which a run may be stopped, and says how it fails, if it does. A lost device
+    /// fails ever after.
     fn fails(&mut self) -> Option<Failure> {
         self.fallible += 1;
         if let Some((call, stop)) = &self.stop_in_call {
@@ -220,9 +221,11 @@ impl FakeBackend {
         }
         let Some(update) = step.update else { return };
         for row in 0..self.cloud.len() {
-            let waiting = self.moments.pending.positions.get_mut(row).map_or(0.0, |sum| std::mem::take(&mut sum[0]));
-            let pull =
-                (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin() + waiting + self.shown[step.view];
+            let waiting =
+                self.moments.pending.positions.get_mut(row).map_or(0.0, |sum| std::mem::take(&mut sum[0]));
+            let pull = (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin()
+                + waiting
+                + self.shown[step.view];
             let moment = &mut self.moments.first.positions[row][0];
             *moment = 0.9 * *moment + 0.1 * pull + step.settings.background[0];
             self.cloud.positions[row][0] += update.rates.position * *moment;
@@ -390,7 +393,12 @@ impl Device for FakeBackend {
         Ok(())
     }
 
-    fn measure(&mut self, held: Held, views: &[usize], _: &RenderSettings) -> Result<Vec<ViewLoss>, BackendError> {
+    fn measure(
+        &mut self,
+        held: Held,
+        views: &[usize],
+        _: &RenderSettings,
+    ) -> Result<Vec<ViewLoss>, BackendError> {
         self.settle()?;
         self.calls.push(Call::Measure { held, views: views.to_vec() });
         self.count_score();

@@ -17,8 +17,14 @@ fn folders_that_links_lead_to_are_looked_into_once_by_their_own_names() {
     let [photos, elsewhere] = ["photos", "elsewhere"].map(|name| place.path().join(name));
     ["b/2.jpg", "1.jpg"].iter().for_each(|name| file(&photos, name));
     file(&elsewhere, "3.jpg");
-    let links =
-        [("a", "b"), ("round", "."), ("again", "."), ("b/up", ".."), ("x", "../elsewhere"), ("w", "../elsewhere")];
+    let links = [
+        ("a", "b"),
+        ("round", "."),
+        ("again", "."),
+        ("b/up", ".."),
+        ("x", "../elsewhere"),
+        ("w", "../elsewhere"),
+    ];
     links.iter().for_each(|(name, to)| symlink(to, photos.join(name)).unwrap());
     assert_eq!(list(&photos).unwrap().photos, ["1.jpg", "b/2.jpg", "w/3.jpg"]);
 }
@@ -49,14 +55,17 @@ fn a_name_that_leads_out_elsewhere_is_refused() {
 #[test]
 fn masks_come_along_under_the_names_of_their_photos() {
     let place = tempfile::tempdir().unwrap();
-    for name in ["a/images/1.jpg", "a/images/2.jpg", "a/masks/1.png", "b/1.jpg", "b/masks/1.jpg.png", "b/masks/9.png"] {
+    for name in
+        ["a/images/1.jpg", "a/images/2.jpg", "a/masks/1.png", "b/1.jpg", "b/masks/1.jpg.png", "b/masks/9.png"]
+    {
         file(place.path(), name);
     }
     for (given, scene) in [("a", "of-a"), ("a/images", "of-images"), ("b", "of-b")] {
         let source = Source::open(&place.path().join(given), None).unwrap();
         let scene = place.path().join(scene);
         assert!(source.fill(&scene.join(IMAGES), &scene.join("work"), &AtomicBool::new(false)).unwrap());
-        let masks: Vec<PathBuf> = fs::read_dir(scene.join("masks")).unwrap().map(|mask| mask.unwrap().path()).collect();
+        let masks: Vec<PathBuf> =
+            fs::read_dir(scene.join("masks")).unwrap().map(|mask| mask.unwrap().path()).collect();
         assert_eq!(masks, [scene.join("masks/1.jpg.png")]);
     }
     file(place.path(), "b/masks/1.jpg.png.bak");
@@ -78,9 +87,13 @@ fn webp_photos_become_png_and_others_stay_as_they_are() {
     fs::write(photos.join("2.WebP"), ONE_PIXEL).unwrap();
     let source = Source::open(&photos, None).unwrap();
     let never = AtomicBool::new(false);
-    assert!(source.fill(&images, place.path(), &never).unwrap() && source.fill(&images, place.path(), &never).unwrap());
+    assert!(
+        source.fill(&images, place.path(), &never).unwrap()
+            && source.fill(&images, place.path(), &never).unwrap()
+    );
     assert_eq!(names_in(&images).unwrap(), ["2.WebP.png", "b/1.jpg"]);
-    let [png, webp] = [images.join("2.WebP.png"), photos.join("2.WebP")].map(|path| read_photo(&path).unwrap());
+    let [png, webp] =
+        [images.join("2.WebP.png"), photos.join("2.WebP")].map(|path| read_photo(&path).unwrap());
     assert_eq!(png, webp);
     assert_eq!(names_in(&photos).unwrap(), ["b/1.jpg"], "photos that lie in the scene already");
 }
@@ -98,7 +111,8 @@ fn photos_that_lie_on_their_side_are_turned_with_their_masks() {
     let [photos, scene] = ["photos", "scene"].map(|name| place.path().join(name));
     file(&photos, "b/1.jpg");
     fs::write(photos.join("2.jpg"), lying()).unwrap();
-    write_png(&photos.join("masks/2.png"), &Photo { width: 32, height: 16, rgb: vec![255; 3 * 32 * 16] }).unwrap();
+    write_png(&photos.join("masks/2.png"), &Photo { width: 32, height: 16, rgb: vec![255; 3 * 32 * 16] })
+        .unwrap();
     let (source, images) = (Source::open(&photos, None).unwrap(), scene.join(IMAGES));
     assert!(source.fill(&images, place.path(), &AtomicBool::new(false)).unwrap());
     for file in ["images/2.jpg", "masks/2.jpg.png"] {
@@ -186,7 +200,8 @@ fn heic_photos_are_converted_with_their_masks_or_what_it_takes_is_said() {
 #[test]
 fn what_is_neither_photos_nor_a_video_is_said() {
     let place = tempfile::tempdir().unwrap();
-    let refusal = |name: &str, frames| Source::open(&place.path().join(name), frames).err().unwrap().to_string();
+    let refusal =
+        |name: &str, frames| Source::open(&place.path().join(name), frames).err().unwrap().to_string();
     for name in ["empty/notes.txt", "phone/1.dng", "photos/1.jpg", "scene.zip", "scene.rar"] {
         file(place.path(), name);
     }

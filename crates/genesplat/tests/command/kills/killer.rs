@@ -1,4 +1,5 @@
-//! How a process is killed: at its n-th change of a file, through a library that is loaded before libc, or at a moment.
+//! How a process is killed: at its n-th change of a file, through a library that is loaded before libc, or at
+//! a moment.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,8 +14,11 @@ static LIBRARY: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../genesplat/tests/command/kills/killer.c");
     let library = folder.path().join("killer.so");
-    let built =
-        Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).args([&library, &source]).arg("-ldl").status();
+    let built = Command::new("cc")
+        .args(["-shared", "-fPIC", "-O1", "-o"])
+        .args([&library, &source])
+        .arg("-ldl")
+        .status();
     assert!(built.unwrap().success(), "cc cannot make {}", library.display());
     (folder, library)
 });
@@ -76,7 +80,9 @@ fn watch(mut command: Command) -> (Course, Output) {
 pub(super) fn kill(mut command: Command, moment: Moment) -> ExitStatus {
     command.stdout(Stdio::null()).stderr(Stdio::null());
     match moment {
-        Moment::Call(n) => command.env("LD_PRELOAD", &LIBRARY.1).env("KILLER_AT", n.to_string()).status().unwrap(),
+        Moment::Call(n) => {
+            command.env("LD_PRELOAD", &LIBRARY.1).env("KILLER_AT", n.to_string()).status().unwrap()
+        }
         Moment::After(duration) => {
             let mut child = command.spawn().unwrap();
             std::thread::sleep(duration);

@@ -1,7 +1,8 @@
-//! A process that is killed at any moment loses nothing, and what was begun comes to the same bytes afterwards.
+//! A process that is killed at any moment loses nothing, and what was begun comes to the same bytes
+//! afterwards.
 //!
-//! Most kills are at calls that change files, in the order of a run, the others at moments spread over it. In every third
-//! case the process that goes on is killed, too. More on demand:
+//! Most kills are at calls that change files, in the order of a run, the others at moments spread over it. In
+//! every third case the process that goes on is killed, too. More on demand:
 //!
 //! ```text
 //! GENESPLAT_KILLS=1000 cargo test --release --package genesplat --test command kills -- --nocapture
@@ -85,8 +86,9 @@ fn split_withstands_kills(name: &str, start: fn(Vec<String>) -> Command) {
     let [scene, whole] = ["scene", "whole"].map(|name| place.path().join(name));
     copy_scene(&scene);
     let before = all_files(&scene);
-    let arguments =
-        |out: &Path| ["split", text(&scene), "--blocks", "2x1", "--out", text(out)].map(str::to_owned).to_vec();
+    let arguments = |out: &Path| {
+        ["split", text(&scene), "--blocks", "2x1", "--out", text(out)].map(str::to_owned).to_vec()
+    };
     succeed(arguments(&whole));
     let wanted = all_files(&whole);
     let check_end = |out: &Path| {
@@ -139,7 +141,11 @@ fn photos_that_a_search_for_cameras_copies_withstand_kills() {
         kill(start(arguments(&out)), moment);
         let said = start(arguments(&out)).output().unwrap().stderr;
         let said = String::from_utf8(said).unwrap();
-        assert!(said.contains("no cameras were found for these 12 photos"), "{}: {said}", shown(moment, &course));
+        assert!(
+            said.contains("no cameras were found for these 12 photos"),
+            "{}: {said}",
+            shown(moment, &course)
+        );
         assert!(all_files(&out.join("images")) == all_files(&photos), "{}", shown(moment, &course));
     }
 }
@@ -152,7 +158,11 @@ fn the_harness_kills_and_notices_what_is_lost() {
     let arguments = train(scene(), &out, &SCHEDULE);
     let course = observe(command(&arguments));
     for name in ["open", "write", "fsync", "rename", "mkdir", "unlink"] {
-        assert!(course.calls.iter().any(|call| call.starts_with(name)), "{name} is not among {:?}", course.calls);
+        assert!(
+            course.calls.iter().any(|call| call.starts_with(name)),
+            "{name} is not among {:?}",
+            course.calls
+        );
     }
     fs::remove_dir_all(&out).unwrap();
     assert_eq!(kill(command(&arguments), Moment::Call(1)).signal(), Some(SIGKILL));

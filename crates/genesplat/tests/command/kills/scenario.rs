@@ -21,8 +21,8 @@ pub(crate) const SCHEDULE: [&str; 4] =
     ["--steps-scale=0.002", "--max-gaussians=400", "--checkpoint-every=20", "--no-lpips"];
 
 pub(crate) fn kills() -> usize {
-    let wanted =
-        std::env::var("GENESPLAT_KILLS").map_or(120, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
+    let wanted = std::env::var("GENESPLAT_KILLS")
+        .map_or(120, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
     wanted / SCENARIOS
 }
 
@@ -76,7 +76,9 @@ impl Scenario<'_> {
         let start = |arguments: &[String]| (self.start)(arguments.to_vec());
         let is_killed = kill(start(&arguments), moment).signal() == Some(SIGKILL);
         if let Some(second) = second.filter(|_| is_killed) {
-            advance(&mut arguments, &start, |arguments| kill(start(arguments), second).signal() == Some(SIGKILL));
+            advance(&mut arguments, &start, |arguments| {
+                kill(start(arguments), second).signal() == Some(SIGKILL)
+            });
         }
         advance(&mut arguments, &start, |_| false);
         (self.check_end)(&out);
@@ -84,7 +86,8 @@ impl Scenario<'_> {
     }
 }
 
-/// Starts a command again as its messages advise, until it succeeds; or until `is_killed`, which starts it first.
+/// Starts a command again as its messages advise, until it succeeds; or until `is_killed`, which starts it
+/// first.
 pub(crate) fn advance(
     arguments: &mut Vec<String>,
     start: &dyn Fn(&[String]) -> Command,
@@ -101,7 +104,9 @@ pub(crate) fn advance(
         let said = String::from_utf8(output.stderr).unwrap();
         if said.contains("add --resume to go on") {
             arguments.push("--resume".into());
-        } else if said.contains("start the run without --resume") || said.contains("is not the folder of a run") {
+        } else if said.contains("start the run without --resume")
+            || said.contains("is not the folder of a run")
+        {
             arguments.retain(|word| word != "--resume");
         } else {
             let is_done = [
@@ -139,7 +144,10 @@ pub(crate) fn lasting(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         let (path, name) = (entry.path(), PathBuf::from(entry.file_name()));
         if path.is_dir() {
             found.extend(lasting(&path).into_iter().map(|(below, bytes)| (name.join(below), bytes)));
-        } else if path.extension().is_some_and(|end| ["ply", "png", "tmp", "checkpoint"].iter().any(|of| end == *of)) {
+        } else if path
+            .extension()
+            .is_some_and(|end| ["ply", "png", "tmp", "checkpoint"].iter().any(|of| end == *of))
+        {
             found.insert(name, fs::read(&path).unwrap());
         }
     }
