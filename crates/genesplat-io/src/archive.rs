@@ -204,9 +204,11 @@ fn wanted(
     }
 }
 
-/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such.
+/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such; drives
+/// are those of Windows on every system, since archives travel.
 fn name_of(enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
-    names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?).map(PathBuf::from)
+    let name = names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?)?;
+    if names::has_drive(&name) { Err(NameProblem::LeadsOut) } else { Ok(name.into()) }
 }
 
 /// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.

@@ -76,7 +76,7 @@ fn below_on(name: &str, is_windows: bool) -> Result<String, NameProblem> {
 }
 
 /// `C:` and what follows.
-fn has_drive(name: &str) -> bool {
+pub(crate) fn has_drive(name: &str) -> bool {
     let bytes = name.as_bytes();
     bytes.first().is_some_and(u8::is_ascii_alphabetic) && bytes.get(1) == Some(&b':')
 }
@@ -139,7 +139,7 @@ mod tests {
             "com1",
             "LPT9.txt",
             "lpt\u{b9}",
-            "a:b",
+            "ab:c",
             "a.png.",
             "a ",
             "a?",

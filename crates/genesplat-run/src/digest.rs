@@ -65,7 +65,7 @@ mod tests {
         assert_eq!(changed(|config, _| config.train.checkpoint_every = 7), [1]);
         assert_eq!(changed(|_, gallery| gallery.views[0].camera.focal_px[1] += 1.0), [2]);
         assert_eq!(changed(|_, gallery| gallery.points[3].rgb[0] ^= 1), [2]);
-        assert_eq!(changed(|_, gallery| gallery.views[1].name = "x.png".into()), [3]);
+        assert_eq!(changed(|_, gallery| gallery.views[1].name = "gallery_001x.png".into()), [3]);
         let exchange: fn(&mut Gallery) = |gallery| {
             let [one, other] = gallery.views.get_disjoint_mut([1, 2]).unwrap();
             swap(&mut one.photo, &mut other.photo);

@@ -138,9 +138,6 @@ mod tests {
         let refusal = |photos| check(path, &scene(photos)).unwrap_err().to_string();
         assert!(check(path, &scene(9)).is_ok() && refusal(12).contains("other photos"));
         assert!(refusal(8).contains("other cameras"), "as many training photos, from other places");
-        fs::write(path.join("config.toml"), "extent = 2.0").unwrap();
-        assert!(check(path, &scene(8)).is_ok(), "an extent that is set says nothing of cameras");
-        fs::remove_file(path.join("config.toml")).unwrap();
         begun_with(8);
 
         let metrics = |name: &str| {

@@ -1,9 +1,9 @@
 //! docs/settings.md: every setting, as the comments in the code explain it.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use genesplat::io::{input, shown};
 use genesplat::train::{MethodConfig, MethodName};
 use toml::{Table, Value};
 
@@ -123,8 +123,8 @@ impl Section {
     /// Names and comments of the fields, but for those that are sections.
     fn fields(&self, root: &Path) -> Result<Vec<(String, String)>> {
         let path = root.join("crates").join(self.file);
-        let code = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-        fields(&code, self.start).with_context(|| path.display().to_string())
+        let code = input::read_text(&path).with_context(|| shown(&path).to_string())?;
+        fields(&code, self.start).with_context(|| shown(&path).to_string())
     }
 }
 

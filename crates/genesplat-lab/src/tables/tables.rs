@@ -10,6 +10,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, ensure};
+use genesplat::io::{input, shown};
 
 #[path = "front.rs"]
 mod front;
@@ -258,8 +259,8 @@ fn table(name: &str, results: &Path) -> Result<String> {
 /// Runs of a CSV file, below `results` and without its ending.
 fn runs_in(file: &str, results: &Path) -> Result<Vec<Run>> {
     let path = results.join(file).with_extension("csv");
-    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    runs(&text).with_context(|| path.display().to_string())
+    let text = input::read_text(&path).with_context(|| format!("cannot read {}", shown(&path)))?;
+    runs(&text).with_context(|| shown(&path).to_string())
 }
 
 /// Runs of a CSV file with a header. No value but the last of a line has commas. (A method was a `variant`

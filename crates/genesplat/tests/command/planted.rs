@@ -80,11 +80,13 @@ impl Planted {
         own
     }
 
-    /// The command in the folder of the photos, which `PATH` and `PYTHONPATH` name in several ways.
+    /// The command in the folder of the photos, which `PATH` and `PYTHONPATH` name in several ways; by its whole name only
+    /// where the command knows that photos are there.
     fn run(&self, arguments: &[&str], path: &[&Path]) -> Output {
         let list = |own: &[&Path]| -> OsString {
             let strange = [Path::new(""), Path::new("."), Path::new("../photos"), &self.photos];
-            std::env::join_paths([&strange, own, &strange].concat()).unwrap()
+            let strange = &strange[..if arguments[0] == "poses" { 4 } else { 3 }];
+            std::env::join_paths([strange, own, strange].concat()).unwrap()
         };
         command(arguments)
             .current_dir(&self.photos)

@@ -6,20 +6,20 @@ import shutil
 __version__ = "pretended"
 
 
-class Anything:
-    """Has what is asked of it, and does nothing."""
+class Anything(int):
+    """Has what is asked of it, does nothing, and counts as 0."""
 
     images = {}
     cameras = {}
 
-    def __init__(self, *_, **__):
-        pass
+    def __new__(cls, *_, **__):
+        return super().__new__(cls)
 
     def __getattr__(self, name):
         return Anything()
 
     def __call__(self, *_, **__):
-        return 0
+        return Anything()
 
 
 class Row(tuple):
