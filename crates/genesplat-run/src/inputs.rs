@@ -241,6 +241,7 @@ fn changes_of(began: &PhotoDigests, now: &PhotoDigests) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use std::sync::LazyLock;
 
     use genesplat_gallery::{self as gallery, GalleryOptions};
     use genesplat_io::{Digest, HoldOut};
@@ -248,8 +249,11 @@ mod tests {
     use super::*;
 
     fn digests() -> SceneDigests {
-        let options = GalleryOptions { width: 16, height: 16, views: 9, points: 20, seed: 1 };
-        gallery::generate(&options).into_scene(HoldOut::EveryEighth).digests
+        static DIGESTS: LazyLock<SceneDigests> = LazyLock::new(|| {
+            let options = GalleryOptions { width: 16, height: 16, views: 9, points: 20, seed: 1 };
+            gallery::generate(&options).into_scene(HoldOut::EveryEighth).digests
+        });
+        DIGESTS.clone()
     }
 
     #[test]
