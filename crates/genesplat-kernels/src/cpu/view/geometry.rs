@@ -128,9 +128,8 @@ impl<S: Simd> Geometry<S> {
 
         // 5. Opacity, with what the filters take from it.
         let opacity = sigmoid(params.opacity_logit);
-        let volume_ratio = (variance_raw[0] / variance[0])
-            * (variance_raw[1] / variance[1])
-            * (variance_raw[2] / variance[2]);
+        let dimmed: [V<S>; 3] = array!(k => variance_raw[k] / variance[k]);
+        let volume_ratio = dimmed[0] * dimmed[1] * dimmed[2];
         let factor_3d = params.filter_3d.simd_gt(0.0).select(volume_ratio.sqrt(), one);
         let factor_2d = screen_factor(filter, det_raw, det);
         let opacity_effective = opacity * factor_3d * factor_2d;
