@@ -179,6 +179,9 @@ pub fn load_scene(
     Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, digests, notices })
 }
 
+/// Something of each training photo, and of each test photo.
+type OfParts<T> = [Vec<T>; 2];
+
 /// The views of training and test photos; those of which nothing counts are left out. And the digests of all
 /// of them.
 fn load_views(
@@ -186,7 +189,7 @@ fn load_views(
     options: &LoadOptions,
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
-) -> Result<([Vec<View>; 2], [Vec<PhotoDigests>; 2]), SceneError> {
+) -> Result<(OfParts<View>, OfParts<PhotoDigests>), SceneError> {
     let (pinholes, keeper) = (Pinholes::default(), Keeper::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
         photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &keeper, progress)).collect()
