@@ -259,7 +259,8 @@ mod tests {
     #[test]
     fn every_change_is_named() {
         let other = Digest::of(b"other");
-        let cases: [(fn(&mut SceneDigests, Digest), &str); 9] = [
+        type Change = fn(&mut SceneDigests, Digest);
+        let cases: [(Change, &str); 9] = [
             (|_, _| (), ""),
             (
                 |scene, other| scene.photos[3].photo = other,
