@@ -1,8 +1,8 @@
 //! The methods, one file each: what is published, and ours.
 //!
-//! A [`Method`] says when what happens (its timeline), what a densification does, and what its settings are
+//! A `Method` says when what happens (its timeline), what a densification does, and what its settings are
 //! by default. The pipeline walks the timeline of any of them. To add one: copy the nearest file, give it a
-//! [`MethodName`], and list it in [`MethodName::method`].
+//! [`MethodName`], and list it in `MethodName::method`.
 
 use std::fmt;
 
