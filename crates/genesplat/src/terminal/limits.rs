@@ -4,7 +4,7 @@
 ///
 /// - A file that outgrows its limit (`ulimit -f`) sends SIGXFSZ. Where that is caught, the write fails
 ///   instead.
-/// - Much memory is asked for before it is taken ([`genesplat::core::memory`]). Where there is none for
+/// - Much memory is asked for before it is taken ([`crate::core::memory`]). Where there is none for
 ///   something small, Rust says so on stderr and aborts; then the status is that of a failure.
 #[cfg(unix)]
 pub fn make_errors() {

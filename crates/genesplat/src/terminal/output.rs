@@ -2,11 +2,11 @@
 //!
 //! | what | function | `--quiet` | `--verbose` |
 //! |---|---|---|---|
-//! | a result | [`print`] | shown | shown |
+//! | a result | [`print()`] | shown | shown |
 //! | an error | [`complain`] | shown | shown |
 //! | progress, or a notice about the data | [`tell`] | - | shown |
 //! | a notice that can wait for the end | [`note`] | - | shown at once |
-//! | what graphics drivers write to stderr | [`without_drivers`] | - | shown |
+//! | what graphics drivers write to stderr | `without_drivers` | - | shown |
 
 use std::io::{self, ErrorKind, Write};
 use std::panic;
@@ -145,7 +145,7 @@ mod drivers {
     /// Our stderr while that of the process leads nowhere.
     static OURS: Mutex<Option<File>> = Mutex::new(None);
 
-    /// Stderr leads nowhere for anybody but [`write`] while this lives.
+    /// Stderr leads nowhere for anybody but [`write()`] while this lives.
     pub(crate) struct Silence;
 
     impl Silence {
