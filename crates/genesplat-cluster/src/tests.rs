@@ -238,8 +238,8 @@ fn a_stopped_run_goes_on_with_another_number_of_ranks() {
 /// The file that ranks write together is that of one process, but for the clock.
 #[test]
 fn ranks_write_the_checkpoint_of_one_process() {
-    // Forty iterations after the last reset: between two steps.
-    let of_mip = TrainConfig { checkpoint_every: 70, ..averaging(MethodName::MipSplatting, 4) };
+    // Between two steps of four views.
+    let of_mip = TrainConfig { checkpoint_every: 64, ..averaging(MethodName::MipSplatting, 4) };
     // In the middle of a step of four views, after pictures of virtual views were made.
     let of_ours = TrainConfig { checkpoint_every: 203, ..settings(MethodName::Genesplat, 4) };
     for config in [of_mip, of_ours] {
