@@ -160,7 +160,7 @@ fn wanted(
     for index in 0..archive.len() {
         let entry =
             archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
-        let name = match name_of(entry.enclosed_name()) {
+        let name = match name_of(&String::from_utf8_lossy(entry.name_raw()), entry.enclosed_name()) {
             Ok(name) => name,
             // The folder itself.
             Err(NameProblem::Nothing) if entry.is_dir() => continue,
@@ -206,9 +206,9 @@ fn wanted(
 
 /// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such; drives
 /// are those of Windows on every system, since archives travel.
-fn name_of(enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
+fn name_of(raw: &str, enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
     let name = names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?)?;
-    if names::has_drive(&name) { Err(NameProblem::LeadsOut) } else { Ok(name.into()) }
+    if names::has_drive(raw) { Err(NameProblem::LeadsOut) } else { Ok(name.into()) }
 }
 
 /// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.
