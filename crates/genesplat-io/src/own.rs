@@ -317,21 +317,21 @@ mod tests {
     /// A file of the user's, and a folder of ours beside it.
     fn place_with_a_file() -> (tempfile::TempDir, PathBuf, PathBuf) {
         let place = tempfile::tempdir().unwrap();
-        let [precious, run] = ["precious", "run"].map(|name| place.path().join(name));
-        fs::write(&precious, "of the user").unwrap();
+        let [users_file, run] = ["of-the-user", "run"].map(|name| place.path().join(name));
+        fs::write(&users_file, "of the user").unwrap();
         fs::create_dir(&run).unwrap();
-        (place, precious, run)
+        (place, users_file, run)
     }
 
-    fn is_untouched(precious: &Path) {
-        assert_eq!(fs::read_to_string(precious).unwrap(), "of the user");
+    fn is_untouched(users_file: &Path) {
+        assert_eq!(fs::read_to_string(users_file).unwrap(), "of the user");
     }
 
     #[test]
     fn a_link_is_replaced_or_refused_and_what_it_leads_to_stays() {
-        let (_place, precious, run) = place_with_a_file();
+        let (_place, users_file, run) = place_with_a_file();
         let link = run.join("name");
-        for target in [&*precious, Path::new("nowhere")] {
+        for target in [&*users_file, Path::new("nowhere")] {
             symlink(target, &link).unwrap();
             let refused = [append(&run, "name").err(), create(&run, "name").err(), check(&run, "name").err()];
             for error in refused {
@@ -345,24 +345,24 @@ mod tests {
             assert!(!link.is_symlink() && fs::read(&link).unwrap() == b"ours");
             fs::remove_file(&link).unwrap();
         }
-        symlink(&precious, &link).unwrap();
+        symlink(&users_file, &link).unwrap();
         remove(&run, "name").unwrap();
         assert!(!link.is_symlink() && !run.join("nowhere").exists());
-        is_untouched(&precious);
+        is_untouched(&users_file);
     }
 
     #[test]
     fn no_folder_on_the_way_is_a_link() {
-        let (place, precious, run) = place_with_a_file();
+        let (place, users_file, run) = place_with_a_file();
         symlink(place.path(), run.join("test")).unwrap();
-        let name = "test/precious";
+        let name = "test/of-the-user";
         let refused = [
             write(&run, name, |_| Ok(())).err(),
             append(&run, name).err(),
             create(&run, name).err(),
             check(&run, name).err(),
             remove(&run, name).err(),
-            link_or_copy(&precious, &run, name).err(),
+            link_or_copy(&users_file, &run, name).err(),
             make_folder(&run, "test/more").err(),
         ];
         for error in refused {
@@ -371,7 +371,7 @@ mod tests {
                 "{error:?}"
             );
         }
-        is_untouched(&precious);
+        is_untouched(&users_file);
         // Links before the folder that the user names are the user's.
         symlink(&run, place.path().join("short")).unwrap();
         write(&place.path().join("short"), "deep/name", |_| Ok(())).unwrap();
@@ -396,53 +396,53 @@ mod tests {
 
     #[test]
     fn a_file_with_other_names_is_appended_to_alone() {
-        let (_place, precious, run) = place_with_a_file();
-        fs::hard_link(&precious, run.join("log")).unwrap();
+        let (_place, users_file, run) = place_with_a_file();
+        fs::hard_link(&users_file, run.join("log")).unwrap();
         append(&run, "log").unwrap().write_all(b", and more").unwrap();
         assert_eq!(fs::read_to_string(run.join("log")).unwrap(), "of the user, and more");
         fs::remove_file(run.join("log")).unwrap();
-        fs::hard_link(&precious, run.join("log")).unwrap();
+        fs::hard_link(&users_file, run.join("log")).unwrap();
         create(&run, "log").unwrap().write_all(b"anew").unwrap();
-        is_untouched(&precious);
+        is_untouched(&users_file);
         assert_eq!(fs::read_dir(&run).unwrap().count(), 1);
     }
 
     #[test]
     fn names_lead_down() {
-        let (_place, precious, run) = place_with_a_file();
-        for name in ["../precious", "a/../../precious", "/precious", ""] {
+        let (_place, users_file, run) = place_with_a_file();
+        for name in ["../of-the-user", "a/../../of-the-user", "/of-the-user", ""] {
             assert!(write(&run, name, |_| Ok(())).is_err(), "{name}");
         }
-        is_untouched(&precious);
+        is_untouched(&users_file);
         write(&run, "./a/b", |_| Ok(())).unwrap();
         assert!(run.join("a/b").exists());
     }
 
     #[test]
     fn a_second_name_is_never_written_onto_one_that_is_there() {
-        let (_place, precious, run) = place_with_a_file();
-        link_or_copy(&precious, &run, "images/a").unwrap();
+        let (_place, users_file, run) = place_with_a_file();
+        link_or_copy(&users_file, &run, "images/a").unwrap();
         for _ in 0..2 {
-            let refused = link_or_copy(&precious, &run, "images/a").unwrap_err();
+            let refused = link_or_copy(&users_file, &run, "images/a").unwrap_err();
             assert_eq!(refused.kind(), ErrorKind::AlreadyExists);
         }
-        assert!(is_same(&precious, &run.join("images/a")).unwrap());
-        is_untouched(&precious);
+        assert!(is_same(&users_file, &run.join("images/a")).unwrap());
+        is_untouched(&users_file);
     }
 
     #[test]
     fn a_copy_has_the_bytes_and_permissions_and_leaves_nothing_beside_it() {
         use std::os::unix::fs::PermissionsExt;
 
-        let (_place, precious, run) = place_with_a_file();
-        fs::set_permissions(&precious, fs::Permissions::from_mode(0o600)).unwrap();
-        copy(&precious, &run.join("a")).unwrap();
+        let (_place, users_file, run) = place_with_a_file();
+        fs::set_permissions(&users_file, fs::Permissions::from_mode(0o600)).unwrap();
+        copy(&users_file, &run.join("a")).unwrap();
         is_untouched(&run.join("a"));
         assert_eq!(fs::metadata(run.join("a")).unwrap().permissions().mode() & 0o777, 0o600);
-        assert!(is_same(&precious, &run.join("a")).unwrap() && fs::read_dir(&run).unwrap().count() == 1);
+        assert!(is_same(&users_file, &run.join("a")).unwrap() && fs::read_dir(&run).unwrap().count() == 1);
         fs::write(run.join("b"), "of the u").unwrap();
         fs::write(run.join("c"), "of the usex").unwrap();
-        assert!(["b", "c"].iter().all(|torn| !is_same(&precious, &run.join(torn)).unwrap()));
+        assert!(["b", "c"].iter().all(|torn| !is_same(&users_file, &run.join(torn)).unwrap()));
         let links: Vec<bool> =
             [18, 95, 1, 31, 17, 28, 2].map(|code| makes_no_links(&io::Error::from_raw_os_error(code))).into();
         if cfg!(target_os = "linux") {

@@ -22,12 +22,12 @@ enum Planted {
 impl Planted {
     const ALL: [Self; 2] = [Self::Link, Self::Pipe];
 
-    /// In place of whatever is at `path`; a link leads to `precious`.
-    fn at(self, path: &Path, precious: &Path) {
+    /// In place of whatever is at `path`; a link leads to the file of the user's.
+    fn at(self, path: &Path, users_file: &Path) {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         let _ = fs::remove_file(path);
         match self {
-            Self::Link => symlink(precious, path).unwrap(),
+            Self::Link => symlink(users_file, path).unwrap(),
             Self::Pipe => assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success()),
         }
     }
@@ -41,20 +41,20 @@ impl Planted {
 }
 
 /// A file of the user's in `place`.
-fn precious(place: &Path) -> PathBuf {
-    let file = place.join("precious");
+fn write_users_file(place: &Path) -> PathBuf {
+    let file = place.join("of-the-user");
     fs::write(&file, "of the user").unwrap();
     file
 }
 
-fn is_untouched(precious: &Path) {
-    assert_eq!(fs::read_to_string(precious).unwrap(), "of the user");
+fn is_untouched(users_file: &Path) {
+    assert_eq!(fs::read_to_string(users_file).unwrap(), "of the user");
 }
 
 #[test]
 fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_pipe() {
     let place = tempfile::tempdir().unwrap();
-    let (precious, broken) = (precious(place.path()), place.path().join("broken"));
+    let (users_file, broken) = (write_users_file(place.path()), place.path().join("broken"));
     break_run(&broken);
     let events = "tensorboard/events.out.tfevents.genesplat";
     let names = [
@@ -70,10 +70,10 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
         for planted in Planted::ALL {
             let run = place.path().join(format!("{index}-{planted:?}"));
             copy(&broken, &run);
-            planted.at(&run.join(name), &precious);
+            planted.at(&run.join(name), &users_file);
             let ended = end_of(train(scene(), &run, &["--resume", "--tensorboard"]));
             judge_failure(ended, &[name, planted.words()]);
-            is_untouched(&precious);
+            is_untouched(&users_file);
         }
     }
     // Names of photos are known later: such a link is replaced.
@@ -82,9 +82,9 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
     fs::create_dir_all(run.join("test")).unwrap();
     let pictures: Vec<PathBuf> =
         (0..12).map(|photo| run.join(format!("test/gallery_{photo:03}.png"))).collect();
-    pictures.iter().for_each(|picture| symlink(&precious, picture).unwrap());
+    pictures.iter().for_each(|picture| symlink(&users_file, picture).unwrap());
     succeed(train(scene(), &run, &["--resume"]));
-    is_untouched(&precious);
+    is_untouched(&users_file);
     assert!(pictures.iter().any(|picture| !picture.is_symlink()));
 
     // A folder of ours that leads elsewhere.
@@ -102,15 +102,15 @@ fn a_run_of_a_stranger_that_goes_on_is_written_through_no_link_and_waits_for_no_
 #[test]
 fn a_search_for_cameras_in_the_scene_of_a_stranger_is_written_through_no_link_and_waits_for_no_pipe() {
     let place = tempfile::tempdir().unwrap();
-    let (precious, photos) = (precious(place.path()), scene().join("images"));
+    let (users_file, photos) = (write_users_file(place.path()), scene().join("images"));
     for name in
         ["engine.log", "source.json", "summary.json", "database.db", "heic.json", "features.done", ".lock"]
     {
         for planted in Planted::ALL {
             let out = place.path().join(format!("{name}-{planted:?}"));
-            planted.at(&out.join("poses").join(name), &precious);
+            planted.at(&out.join("poses").join(name), &users_file);
             judge_failure(end_of(["poses", text(&photos), "--out", text(&out)]), &[name, planted.words()]);
-            is_untouched(&precious);
+            is_untouched(&users_file);
         }
     }
     let out = place.path().join("scene");
@@ -125,16 +125,17 @@ fn a_search_for_cameras_in_the_scene_of_a_stranger_is_written_through_no_link_an
 #[test]
 fn pictures_are_rendered_through_no_link_in_a_folder() {
     let place = tempfile::tempdir().unwrap();
-    let (precious, [run, out]) = (precious(place.path()), ["run", "out"].map(|name| place.path().join(name)));
+    let (users_file, [run, out]) =
+        (write_users_file(place.path()), ["run", "out"].map(|name| place.path().join(name)));
     succeed(train(scene(), &run, &["--iterations", "3"]));
     let render = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--out", text(&out)];
     for (name, more) in
         [("gallery_001.png", &["--split", "all"][..]), ("0001.png", &["--path", "orbit", "--frames", "2"])]
     {
         for planted in Planted::ALL {
-            planted.at(&out.join(name), &precious);
+            planted.at(&out.join(name), &users_file);
             judge_failure(end_of(render.iter().chain(more)), &[name, planted.words()]);
-            is_untouched(&precious);
+            is_untouched(&users_file);
         }
         fs::remove_file(out.join(name)).unwrap();
     }
