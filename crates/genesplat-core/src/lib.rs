@@ -10,6 +10,7 @@
 
 pub mod backend;
 pub mod camera;
+pub mod cloud_renderer;
 pub mod constants;
 pub mod covariance;
 pub mod device;
@@ -23,7 +24,6 @@ pub mod morton;
 pub mod owners;
 pub mod rng;
 pub mod row_versions;
-pub mod sight;
 pub mod spherical_harmonics;
 pub mod state_mean;
 pub mod statistics;
@@ -31,6 +31,7 @@ pub mod stored_photo;
 
 pub use backend::{BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View};
 pub use camera::Camera;
+pub use cloud_renderer::CloudRenderer;
 pub use device::{Device, DeviceState, Edit, Renderer, Upload};
 pub use edit::{EditPart, Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
@@ -40,7 +41,6 @@ pub use median::median;
 pub use morton::morton_order;
 pub use owners::{Alone, RowOwners};
 pub use rng::{Rng, Stream};
-pub use sight::Sight;
 pub use state_mean::{Held, StateMean, ViewLoss};
 pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
 pub use stored_photo::{PhotoLost, PhotoStore, StoredPhoto};

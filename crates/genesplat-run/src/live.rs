@@ -6,13 +6,13 @@ use anyhow::Result;
 use genesplat_core::Gaussians;
 use genesplat_io::Scene;
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{Exhibition, LiveView};
+use genesplat_viewer::{LiveView, SceneViews};
 
 use crate::output;
 
 /// Serves a page of a run on `scene`, and says where.
 pub fn of_training(address: SocketAddr, scene: &Scene) -> Result<LiveView> {
-    open(address, Exhibition::new(&scene.name, &scene.train, &scene.test, None), true)
+    open(address, SceneViews::new(&scene.name, &scene.train, &scene.test, None), true)
 }
 
 /// The same of a finished splat called `name`, with the cameras of its scene where they are at hand.
@@ -23,11 +23,11 @@ pub fn of_splat(
     scene: Option<&Scene>,
 ) -> Result<LiveView> {
     let (train, test) = scene.map_or((&[][..], &[][..]), |scene| (&scene.train, &scene.test));
-    open(address, Exhibition::new(name, train, test, Some(cloud)), false)
+    open(address, SceneViews::new(name, train, test, Some(cloud)), false)
 }
 
-fn open(address: SocketAddr, exhibition: Exhibition, can_train: bool) -> Result<LiveView> {
-    let live = LiveView::start(address, exhibition, can_train, Box::new(CpuBackend::new()))?;
+fn open(address: SocketAddr, scene_views: SceneViews, can_train: bool) -> Result<LiveView> {
+    let live = LiveView::start(address, scene_views, can_train, Box::new(CpuBackend::new()))?;
     output::print(&format!("view   {}", live.url()))?;
     Ok(live)
 }

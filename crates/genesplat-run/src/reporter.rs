@@ -7,7 +7,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
-use genesplat_core::Sight;
+use genesplat_core::CloudRenderer;
 use genesplat_io::shown;
 use genesplat_train::observe::{
     DensifyLog, GenerationLog, LogRecord, StageKind, StageLog, StageRecord, StartLog, StepLog,
@@ -94,9 +94,9 @@ impl<'a> Reporter<'a> {
         }
     }
 
-    fn score_test_photos(&mut self, iteration: u32, sight: &mut Sight<'_>) {
+    fn score_test_photos(&mut self, iteration: u32, renderer: &mut CloudRenderer<'_>) {
         let Some(curve) = self.curve.as_ref().filter(|curve| curve.is_due(iteration)) else { return };
-        match curve.score(sight) {
+        match curve.score(renderer) {
             Ok(psnr) => {
                 self.quality.1 = psnr.or(self.quality.1);
                 if let (Some(live), Some(psnr)) = (&mut self.live, psnr) {
@@ -124,9 +124,9 @@ struct Steering<'a> {
 }
 
 impl Owner for Steering<'_> {
-    fn snapshot(&mut self, sight: &mut Sight<'_>) -> String {
+    fn snapshot(&mut self, renderer: &mut CloudRenderer<'_>) -> String {
         let Some(session) = self.session else { return "this run has no folder to save to".into() };
-        match session.write_snapshot(self.iteration, sight) {
+        match session.write_snapshot(self.iteration, renderer) {
             Ok(path) => format!("saved as {}", shown(path)),
             Err(error) => error.to_string(),
         }
@@ -227,11 +227,11 @@ impl Observer for Reporter<'_> {
         is_watched || self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
     }
 
-    fn on_renders(&mut self, iteration: u32, sight: &mut Sight<'_>) {
-        self.score_test_photos(iteration, sight);
+    fn on_renders(&mut self, iteration: u32, renderer: &mut CloudRenderer<'_>) {
+        self.score_test_photos(iteration, renderer);
         let session = self.run.map(|(session, _)| session);
         if let Some(live) = &mut self.live {
-            live.attend(sight, &mut Steering { iteration, session, stop: self.stop });
+            live.attend(renderer, &mut Steering { iteration, session, stop: self.stop });
         }
     }
 

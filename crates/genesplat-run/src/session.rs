@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat_core::{Gaussians, RowOwners, ScreenFilter, Sight};
+use genesplat_core::{CloudRenderer, Gaussians, RowOwners, ScreenFilter};
 use genesplat_io::names::is_file_name;
 use genesplat_io::{PlyOptions, input, is_transforms, ply, shown};
 use genesplat_train::Checkpoint;
@@ -230,11 +230,11 @@ impl RunSession {
     }
 
     /// Writes the cloud of a run under way beside its results; returns where it is.
-    pub(crate) fn write_snapshot(&self, iteration: u32, sight: &mut Sight<'_>) -> Result<PathBuf> {
+    pub(crate) fn write_snapshot(&self, iteration: u32, renderer: &mut CloudRenderer<'_>) -> Result<PathBuf> {
         self.hold()?;
         let name = Path::new(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
-        let options = PlyOptions { screen_filter: sight.settings().filter, ..PlyOptions::default() };
-        let cloud = sight.cloud()?;
+        let options = PlyOptions { screen_filter: renderer.settings().filter, ..PlyOptions::default() };
+        let cloud = renderer.cloud()?;
         write_own(&self.path, &name, |out| ply::write_to(out, &cloud, &options))?;
         Ok(self.path.join(name))
     }

@@ -3,7 +3,7 @@
 //! Training does not see the scores, and the time is billed to neither gradients nor evolution.
 
 use anyhow::Result;
-use genesplat_core::{Sight, View};
+use genesplat_core::{CloudRenderer, View};
 use genesplat_metrics::psnr_under;
 
 const POINTS: u32 = 12;
@@ -25,10 +25,10 @@ impl<'a> TestCurve<'a> {
     }
 
     /// Mean PSNR, dB; `None` when a photo is reproduced exactly.
-    pub(crate) fn score(&self, sight: &mut Sight<'_>) -> Result<Option<f64>> {
+    pub(crate) fn score(&self, renderer: &mut CloudRenderer<'_>) -> Result<Option<f64>> {
         let mut sum = 0.0;
         for view in self.views {
-            let picture = sight.render(&view.camera)?.to_photo();
+            let picture = renderer.render(&view.camera)?.to_photo();
             sum += psnr_under(view.mask.as_deref(), &picture, &*view.photo.read()?)?;
         }
         let mean = sum / self.views.len() as f64;

@@ -10,9 +10,9 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use genesplat_core::{Device, Gaussians, RenderSettings, Rng, Sight, Stream};
+use genesplat_core::{CloudRenderer, Device, Gaussians, RenderSettings, Rng, Stream};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{Exhibition, LiveView};
+use genesplat_viewer::{LiveView, SceneViews};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
@@ -47,16 +47,16 @@ fn main() {
     static OVER: AtomicBool = AtomicBool::new(false);
     let server = thread::spawn(move || {
         let cloud = cloud(gaussians);
-        let exhibition = Exhibition::new("frame rate", &[], &[], Some(&cloud));
+        let scene_views = SceneViews::new("frame rate", &[], &[], Some(&cloud));
         let address = ([127, 0, 0, 1], 0).into();
         let mut live =
-            LiveView::start(address, exhibition, false, Box::new(CpuBackend::new())).expect("a port");
+            LiveView::start(address, scene_views, false, Box::new(CpuBackend::new())).expect("a port");
         let mut backend = CpuBackend::new();
         backend.upload(cloud.into()).expect("memory");
         sender.send(live.url()).expect("it is awaited");
-        let mut sight =
-            Sight::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
-        live.exhibit(&mut sight, || OVER.load(Ordering::Relaxed));
+        let mut renderer =
+            CloudRenderer::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
+        live.serve_until(&mut renderer, || OVER.load(Ordering::Relaxed));
     });
     let mut page = connect(&receiver.recv().expect("a URL"));
     for mode in ["colour", "depth", "count", "points", "ellipses"] {

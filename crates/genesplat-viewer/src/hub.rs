@@ -33,7 +33,7 @@ const TOPICS: usize = 3;
 
 /// What pages have asked the owner of the run for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Wishes {
+pub(crate) struct Requests {
     pub(crate) paused: bool,
     pub(crate) snapshot: bool,
     pub(crate) stop: bool,
@@ -63,7 +63,7 @@ struct Inner {
     served: u64,
     cloud_version: u64,
     board: [(u64, Arc<str>); TOPICS],
-    wishes: Wishes,
+    requests: Requests,
     is_closing: bool,
     empty_since: Option<Instant>,
 }
@@ -127,10 +127,10 @@ impl Hub {
                     (page.look, page.is_new) = (Some(look), true);
                 }
             }
-            ClientMessage::Pause => inner.wishes.paused = true,
-            ClientMessage::Resume => inner.wishes.paused = false,
-            ClientMessage::Snapshot => inner.wishes.snapshot = true,
-            ClientMessage::Stop => inner.wishes.stop = true,
+            ClientMessage::Pause => inner.requests.paused = true,
+            ClientMessage::Resume => inner.requests.paused = false,
+            ClientMessage::Snapshot => inner.requests.snapshot = true,
+            ClientMessage::Stop => inner.requests.stop = true,
         }
         self.asked.notify_all();
     }
@@ -173,12 +173,12 @@ impl Hub {
         inner.pages.is_empty() && inner.empty_since.is_none_or(|since| since.elapsed() > RELOAD)
     }
 
-    pub(crate) fn wishes(&self) -> Wishes {
-        self.lock().wishes
+    pub(crate) fn requests(&self) -> Requests {
+        self.lock().requests
     }
 
-    pub(crate) fn change_wishes(&self, change: impl FnOnce(&mut Wishes)) {
-        change(&mut self.lock().wishes);
+    pub(crate) fn change_requests(&self, change: impl FnOnce(&mut Requests)) {
+        change(&mut self.lock().requests);
     }
 
     pub(crate) fn cloud_has_changed(&self) {

@@ -23,7 +23,6 @@ mod budget;
 pub mod bytes;
 mod clock;
 mod curves;
-mod exhibition;
 mod framing;
 mod gate;
 mod http;
@@ -35,14 +34,15 @@ pub mod path;
 mod picture;
 mod places;
 pub mod render_mode;
+mod scene_views;
 mod server;
 mod socket;
 pub mod standalone;
 
 pub use budget::Budget;
-pub use exhibition::{Exhibition, Split};
 pub use framing::Framing;
 pub use live::{LiveView, Owner, Phase};
+pub use scene_views::{SceneViews, Split};
 
 /// Why there is no page.
 #[derive(Debug, thiserror::Error)]

@@ -5,18 +5,18 @@ use std::time::Duration;
 
 use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{BackendError, Camera, Device, Gaussians, Image, Photo, RenderSettings, Sight};
+use genesplat_core::{BackendError, Camera, CloudRenderer, Device, Gaussians, Image, Photo, RenderSettings};
 use serde::Serialize;
 
 use crate::ViewerError;
 use crate::budget::Budget;
 use crate::clock::Clock;
 use crate::curves::Curve;
-use crate::exhibition::Exhibition;
 use crate::hub::{Hub, Picture, Topic};
 use crate::message::{Look, PictureHeader, notice};
 use crate::picture::{ERROR_MAX, error_picture};
 use crate::render_mode::{RenderMode, derive, develop};
+use crate::scene_views::SceneViews;
 use crate::server::Server;
 
 /// Pages are told of progress so often, seconds.
@@ -46,7 +46,7 @@ pub enum Phase {
 /// Who trains, and can be asked to save or to stop.
 pub trait Owner {
     /// Saves the cloud; says in a sentence what has become of it.
-    fn snapshot(&mut self, sight: &mut Sight<'_>) -> String;
+    fn snapshot(&mut self, renderer: &mut CloudRenderer<'_>) -> String;
     /// Ends the run after this step.
     fn stop(&mut self);
     /// The run is about to end.
@@ -108,7 +108,7 @@ impl LiveView {
     /// steer a run.
     pub fn start(
         address: SocketAddr,
-        exhibition: Exhibition,
+        scene_views: SceneViews,
         can_train: bool,
         mode_device: Box<dyn Device>,
     ) -> Result<Self, ViewerError> {
@@ -123,7 +123,7 @@ impl LiveView {
             psnr: None,
             snapshot_wait: 0,
         };
-        let server = Server::start(address, exhibition, can_train)?;
+        let server = Server::start(address, scene_views, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
         let posted = [f64::NEG_INFINITY; 2];
         let mut view = Self { server, clock, budget, state, curves, posted, saved: None, mode_device };
@@ -194,39 +194,39 @@ impl LiveView {
         let (now, is_open) = (self.clock.seconds(), self.hub().has_pages());
         self.budget.tick(now, is_open);
         if !is_open {
-            return self.hub().wishes() != Default::default();
+            return self.hub().requests() != Default::default();
         }
         let encoding = self.hub().take_encoding_seconds();
         if encoding > 0.0 {
             self.budget.spend(now, encoding);
         }
         self.post(false);
-        let has_wish = self.hub().wishes() != Default::default();
-        has_wish || (self.budget.allows_new() && self.hub().is_awaited(self.budget.allows_refresh(now)))
+        let is_asked = self.hub().requests() != Default::default();
+        is_asked || (self.budget.allows_new() && self.hub().is_awaited(self.budget.allows_refresh(now)))
     }
 
     /// Does what is due: a picture; what a page has asked of `owner`; and waits while pages want the run to
     /// wait.
-    pub fn attend(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
+    pub fn attend(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
         if self.budget.allows_new() {
             let began = self.clock.seconds();
-            if self.serve(sight, self.budget.allows_refresh(began)) {
+            if self.serve(renderer, self.budget.allows_refresh(began)) {
                 let now = self.clock.seconds();
                 self.budget.spend(now, now - began);
             }
         }
-        self.grant(sight, owner);
-        if self.hub().wishes().paused && !owner.is_stopped() {
-            self.rest(sight, owner);
+        self.grant(renderer, owner);
+        if self.hub().requests().paused && !owner.is_stopped() {
+            self.rest(renderer, owner);
         }
     }
 
     /// Shows a finished splat until `is_over`.
-    pub fn exhibit(&mut self, sight: &mut Sight<'_>, is_over: impl Fn() -> bool) {
+    pub fn serve_until(&mut self, renderer: &mut CloudRenderer<'_>, is_over: impl Fn() -> bool) {
         self.hub().cloud_has_changed();
         self.post(true);
         while !is_over() {
-            if !self.serve(sight, true) {
+            if !self.serve(renderer, true) {
                 self.hub().wait(WAIT);
             }
         }
@@ -234,68 +234,68 @@ impl LiveView {
 
     /// Nothing is trained: pictures have all the time, until pages want the run to go on, or all of them are
     /// gone.
-    fn rest(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
+    fn rest(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
         self.set_phase(Phase::Paused);
-        while self.hub().wishes().paused && !owner.is_stopped() && !self.hub().is_deserted() {
-            if !self.serve(sight, true) {
+        while self.hub().requests().paused && !owner.is_stopped() && !self.hub().is_deserted() {
+            if !self.serve(renderer, true) {
                 self.hub().wait(WAIT);
             }
-            self.grant(sight, owner);
+            self.grant(renderer, owner);
             self.post(false);
         }
-        self.hub().change_wishes(|wishes| wishes.paused = false);
+        self.hub().change_requests(|requests| requests.paused = false);
         self.set_phase(Phase::Training);
     }
 
-    fn grant(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
-        let wishes = self.hub().wishes();
-        if wishes.snapshot {
-            let sentence = self.snapshot(sight, owner);
+    fn grant(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
+        let requests = self.hub().requests();
+        if requests.snapshot {
+            let sentence = self.snapshot(renderer, owner);
             self.notice(&sentence);
         }
-        if wishes.stop {
+        if requests.stop {
             owner.stop();
         }
-        self.hub().change_wishes(|wishes| (wishes.snapshot, wishes.stop) = (false, false));
+        self.hub().change_requests(|requests| (requests.snapshot, requests.stop) = (false, false));
     }
 
     /// A page could ask for one after each step, and fill the disk.
-    fn snapshot(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) -> String {
+    fn snapshot(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) -> String {
         let wait = snapshot_wait(self.saved, self.clock.seconds());
         if wait > 0 {
             return format!(
                 "no snapshot yet: one is saved in {SNAPSHOT_EVERY} seconds at most; try again in {wait}"
             );
         }
-        let sentence = owner.snapshot(sight);
+        let sentence = owner.snapshot(renderer);
         self.saved = Some(self.clock.seconds());
         self.post(true);
         sentence
     }
 
     /// Makes the picture that a page has waited for longest; false where none waits.
-    fn serve(&mut self, sight: &mut Sight<'_>, or_changed: bool) -> bool {
+    fn serve(&mut self, renderer: &mut CloudRenderer<'_>, or_changed: bool) -> bool {
         let Some((id, look)) = self.hub().next_look(or_changed) else { return false };
-        match self.take(&look, sight) {
+        match self.take(&look, renderer) {
             Ok(pictures) => self.hub().deliver(id, pictures),
             Err(error) => self.notice(&format!("no picture: {error}")),
         }
         true
     }
 
-    fn take(&mut self, look: &Look, sight: &mut Sight<'_>) -> Result<Vec<Picture>, BackendError> {
+    fn take(&mut self, look: &Look, renderer: &mut CloudRenderer<'_>) -> Result<Vec<Picture>, BackendError> {
         let began = self.clock.seconds();
         let Look { sequence, width, height, quality, .. } = *look;
-        let known = look.camera.and_then(|index| self.server.shared.exhibition.camera(index));
-        let exhibition = &self.server.shared.exhibition;
-        let near = exhibition.camera(0).map_or(NEAR_DEPTH, |camera| camera.near);
+        let known = look.camera.and_then(|index| self.server.shared.scene_views.camera(index));
+        let scene_views = &self.server.shared.scene_views;
+        let near = scene_views.camera(0).map_or(NEAR_DEPTH, |camera| camera.near);
         let free = || Camera { near, ..look.pose.camera(width, height) };
         let camera = known.map_or_else(free, |camera| camera.resized(width, height));
-        let (photo, range) = self.photograph(look.render_mode, &camera, sight)?;
+        let (photo, range) = self.photograph(look.render_mode, &camera, renderer)?;
         let milliseconds = (1e3 * (self.clock.seconds() - began)) as f32;
         let header = PictureHeader { sequence, error: false, range, milliseconds };
-        let exhibition = &self.server.shared.exhibition;
-        let compared = look.camera.filter(|_| look.error).and_then(|index| exhibition.view(index));
+        let scene_views = &self.server.shared.scene_views;
+        let compared = look.camera.filter(|_| look.error).and_then(|index| scene_views.view(index));
         let error = |view| -> Result<Picture, BackendError> {
             let header = PictureHeader { error: true, range: Some([0.0, ERROR_MAX]), ..header };
             Ok(Picture { header, photo: error_picture(&photo, view)?, quality })
@@ -308,13 +308,13 @@ impl LiveView {
         &mut self,
         mode: RenderMode,
         camera: &Camera,
-        sight: &mut Sight<'_>,
+        renderer: &mut CloudRenderer<'_>,
     ) -> Result<(Photo, Option<[f32; 2]>), BackendError> {
         if mode == RenderMode::Colour {
-            return Ok((sight.render(camera)?.to_photo(), None));
+            return Ok((renderer.render(camera)?.to_photo(), None));
         }
-        let settings = *sight.settings();
-        let cloud = sight.cloud()?;
+        let settings = *renderer.settings();
+        let cloud = renderer.cloud()?;
         ensure_memory(cloud.len() * Gaussians::BYTES_PER_ROW, "a render mode")?;
         let (derived, settings) = derive(mode, &cloud, camera, &settings);
         drop(cloud);

@@ -9,12 +9,12 @@ use std::time::{Duration, Instant};
 use tungstenite::handshake::derive_accept_key;
 
 use crate::ViewerError;
-use crate::exhibition::Exhibition;
 use crate::gate::Gate;
 use crate::http::{Request, Status, read_request, refuse, respond};
 use crate::hub::Hub;
 use crate::page::part;
 use crate::places::{Place, Places};
+use crate::scene_views::SceneViews;
 use crate::socket::{self, TimedStream};
 
 /// Whoever connects has so long to ask, and as long to take the answer.
@@ -27,7 +27,7 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// What all threads of a server share.
 pub(crate) struct Shared {
     pub(crate) hub: Hub,
-    pub(crate) exhibition: Exhibition,
+    pub(crate) scene_views: SceneViews,
     /// The page has buttons that steer a training run.
     pub(crate) can_train: bool,
     gate: Gate,
@@ -44,7 +44,7 @@ pub(crate) struct Server {
 impl Server {
     pub(crate) fn start(
         address: SocketAddr,
-        exhibition: Exhibition,
+        scene_views: SceneViews,
         can_train: bool,
     ) -> Result<Self, ViewerError> {
         let listen = |source| ViewerError::Listen { address, source };
@@ -52,7 +52,7 @@ impl Server {
         let address = listener.local_addr().map_err(listen)?;
         let gate = Gate::new(address.ip())?;
         let (hub, places) = (Hub::default(), Arc::default());
-        let shared = Arc::new(Shared { hub, exhibition, can_train, gate, places });
+        let shared = Arc::new(Shared { hub, scene_views, can_train, gate, places });
         let of_thread = shared.clone();
         let acceptor = thread::Builder::new()
             .name("viewer".into())
@@ -160,13 +160,13 @@ fn converse(stream: TcpStream, shared: &Shared, place: &mut Place) -> std::io::R
     if path == "socket" {
         let Some(answer) = upgrade(&request) else { return refuse(&mut timed, Status::BadRequest) };
         timed.write_all(answer.as_bytes())?;
-        socket::serve(stream, rest, &shared.hub, &shared.exhibition, shared.can_train);
+        socket::serve(stream, rest, &shared.hub, &shared.scene_views, shared.can_train);
         return Ok(());
     }
     if let Some((kind, content)) = part(path) {
         return respond(&mut timed, kind, content.as_bytes());
     }
-    match picture(path, &shared.exhibition) {
+    match picture(path, &shared.scene_views) {
         Some(jpeg) => respond(&mut timed, "image/jpeg", &jpeg),
         None => refuse(&mut timed, Status::NotFound),
     }
@@ -189,12 +189,12 @@ impl std::io::Read for Hurried<'_> {
 }
 
 /// `thumbnail/3` and `photo/3`.
-fn picture(path: &str, exhibition: &Exhibition) -> Option<Vec<u8>> {
+fn picture(path: &str, scene_views: &SceneViews) -> Option<Vec<u8>> {
     let (kind, index) = path.split_once('/')?;
     let index = index.parse().ok()?;
     match kind {
-        "thumbnail" => exhibition.thumbnail_jpeg(index),
-        "photo" => exhibition.photo_jpeg(index),
+        "thumbnail" => scene_views.thumbnail_jpeg(index),
+        "photo" => scene_views.photo_jpeg(index),
         _ => None,
     }
 }

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, Utf8Bytes, WebSocket};
 
-use crate::exhibition::Exhibition;
 use crate::hub::{Hub, Outgoing, Picture};
 use crate::message::{ClientMessage, MESSAGE_BYTES_MAX, notice};
 use crate::picture::encode_jpeg;
+use crate::scene_views::SceneViews;
 
 /// How long a read waits before it is looked whether there is something to send.
 const READ_WAIT: Duration = Duration::from_millis(4);
@@ -71,7 +71,7 @@ impl Write for TimedStream {
 
 /// Tells the page what it should know until either side ends it. `rest` are bytes that came after the
 /// handshake.
-pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, exhibition: &Exhibition, can_train: bool) {
+pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, scene_views: &SceneViews, can_train: bool) {
     let Ok(stream) = TimedStream::new(stream, READ_WAIT, WRITE_WAIT) else { return };
     let config = WebSocketConfig::default()
         .read_buffer_size(4096)
@@ -86,7 +86,7 @@ pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, exhibition: &Ex
             let _leave = Leave { hub, id };
             let mut page =
                 Page { socket, hub, id, garbage: 0, heard: Instant::now(), pinged: Instant::now() };
-            page.run(exhibition.hello(can_train))
+            page.run(scene_views.hello(can_train))
         }
         None => turn_away(&mut socket, hub),
     };

@@ -11,10 +11,10 @@ use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Camera, Photo, RenderSettings, ScreenFilter};
 use serde::Serialize;
 
-use crate::exhibition::Split;
 use crate::framing::Framing;
 use crate::message::Pose;
 use crate::picture::encode_jpeg;
+use crate::scene_views::Split;
 
 const PAGE: &str = include_str!("../standalone/index.html");
 const STYLE: &str = include_str!("../standalone/style.css");

@@ -31,7 +31,7 @@ use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
 use crate::{colmap, input, plural, shown, transforms};
-use view::{Keeper, Loaded, Pinholes};
+use view::{Loaded, PhotoStorage, Pinholes};
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -190,9 +190,10 @@ fn load_views(
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
 ) -> Result<(OfParts<View>, OfParts<PhotoDigests>), SceneError> {
-    let (pinholes, keeper) = (Pinholes::default(), Keeper::new(photos.iter().copied().flatten(), options)?);
+    let (pinholes, storage) =
+        (Pinholes::default(), PhotoStorage::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
-        photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &keeper, progress)).collect()
+        photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &storage, progress)).collect()
     };
     let loaded = [load(photos[0])?, load(photos[1])?];
     let all = || loaded.iter().flatten();

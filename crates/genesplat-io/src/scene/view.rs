@@ -53,9 +53,9 @@ impl Pinholes {
 }
 
 /// Where loaded photos stay.
-pub(super) struct Keeper<'a>(Option<(Arc<PhotoFile>, &'a Path)>);
+pub(super) struct PhotoStorage<'a>(Option<(Arc<PhotoFile>, &'a Path)>);
 
-impl<'a> Keeper<'a> {
+impl<'a> PhotoStorage<'a> {
     /// In a file where `photos` have more bytes than memory should hold.
     pub(super) fn new<'b>(
         photos: impl Iterator<Item = &'b ListedPhoto>,
@@ -90,7 +90,7 @@ pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,
     pinholes: &Pinholes,
-    keeper: &Keeper,
+    storage: &PhotoStorage,
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?;
@@ -115,7 +115,7 @@ pub(super) fn load(
     let view = View {
         name: listed.name.clone(),
         camera: frame.pinhole.resized(frame.size[0], frame.size[1]),
-        photo: keeper.keep(photo)?,
+        photo: storage.keep(photo)?,
         // One that hides nothing is none.
         mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
     };

@@ -3,7 +3,7 @@
 //!
 //! An observer is called between device calls, and training waits until it returns.
 
-use genesplat_core::Sight;
+use genesplat_core::CloudRenderer;
 use genesplat_core::backend::StepReport;
 use serde::{Deserialize, Serialize};
 
@@ -213,7 +213,7 @@ pub trait Observer {
         false
     }
     /// The cloud in training, to be rendered as it will be evaluated; training goes on when it returns.
-    fn on_renders(&mut self, _iteration: u32, _sight: &mut Sight<'_>) {}
+    fn on_renders(&mut self, _iteration: u32, _renderer: &mut CloudRenderer<'_>) {}
 }
 
 /// Hears nothing.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use genesplat_core::{
-    BackendError, DensitySignal, Device, Gaussians, Genes, LearningRates, RenderSettings, Rng, Sight,
+    BackendError, CloudRenderer, DensitySignal, Device, Gaussians, Genes, LearningRates, RenderSettings, Rng,
     StatisticsRequest, Stream, TrainStep, Update, Upload, View, device::copy_of,
 };
 
@@ -234,7 +234,7 @@ impl<'a> Trainer<'a> {
         }
         if wants_renders {
             let settings = self.settings(i);
-            self.observer.on_renders(i, &mut Sight::new(&mut *self.backend, settings));
+            self.observer.on_renders(i, &mut CloudRenderer::new(&mut *self.backend, settings));
         }
         Ok(())
     }

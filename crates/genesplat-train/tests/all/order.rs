@@ -5,7 +5,7 @@
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::gaussians::logit;
-use genesplat_core::{DensitySignal, Origin, Rng, ScreenFilter, Sight};
+use genesplat_core::{CloudRenderer, DensitySignal, Origin, Rng, ScreenFilter};
 use genesplat_evolve::GeneticConfig;
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::filter_3d::filter_3d;
@@ -364,8 +364,8 @@ impl Observer for Listener {
     fn wants_renders(&mut self, iteration: u32) -> bool {
         iteration == 17
     }
-    fn on_renders(&mut self, iteration: u32, sight: &mut Sight<'_>) {
-        assert_eq!(sight.render(&views(1)[0].camera).unwrap().width, views(1)[0].camera.width);
+    fn on_renders(&mut self, iteration: u32, renderer: &mut CloudRenderer<'_>) {
+        assert_eq!(renderer.render(&views(1)[0].camera).unwrap().width, views(1)[0].camera.width);
         self.looks.push(iteration);
     }
 }

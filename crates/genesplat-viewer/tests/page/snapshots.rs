@@ -6,9 +6,9 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Instant;
 
-use genesplat_core::{Device, RenderSettings, Sight};
+use genesplat_core::{CloudRenderer, Device, RenderSettings};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{Exhibition, LiveView, Owner, Phase};
+use genesplat_viewer::{LiveView, Owner, Phase, SceneViews};
 use serde_json::Value;
 use tungstenite::{Message, WebSocket};
 
@@ -18,7 +18,7 @@ use crate::support::{TURN, cloud, socket};
 struct Counter<'a>(&'a AtomicUsize);
 
 impl Owner for Counter<'_> {
-    fn snapshot(&mut self, _: &mut Sight<'_>) -> String {
+    fn snapshot(&mut self, _: &mut CloudRenderer<'_>) -> String {
         format!("saved number {}", self.0.fetch_add(1, Ordering::Relaxed) + 1)
     }
 
@@ -31,11 +31,12 @@ impl Owner for Counter<'_> {
 
 /// A run whose steps take no time, until it is stopped.
 fn run(saved: &AtomicUsize, stop: &AtomicBool, url: &mpsc::Sender<String>) {
-    let (exhibition, mode_backend) = (Exhibition::new("test", &[], &[], None), Box::new(CpuBackend::new()));
-    let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, true, mode_backend).unwrap();
+    let (scene_views, mode_backend) = (SceneViews::new("test", &[], &[], None), Box::new(CpuBackend::new()));
+    let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), scene_views, true, mode_backend).unwrap();
     let mut backend = CpuBackend::new();
     backend.upload(cloud(10).into()).unwrap();
-    let mut sight = Sight::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
+    let mut renderer =
+        CloudRenderer::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
     live.begin("test", 10, u32::MAX);
     live.set_phase(Phase::Training);
     url.send(live.url()).unwrap();
@@ -45,7 +46,7 @@ fn run(saved: &AtomicUsize, stop: &AtomicBool, url: &mpsc::Sender<String>) {
         }
         live.step(iteration, 10, None);
         if live.is_due() {
-            live.attend(&mut sight, &mut Counter(saved));
+            live.attend(&mut renderer, &mut Counter(saved));
         }
         thread::yield_now();
     }

@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use genesplat_core::{Device, Gaussians, RenderSettings, Rng, Sight, Stream};
+use genesplat_core::{CloudRenderer, Device, Gaussians, RenderSettings, Rng, Stream};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{Exhibition, LiveView};
+use genesplat_viewer::{LiveView, SceneViews};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
@@ -45,15 +45,17 @@ impl Show {
         let of_thread = stop.clone();
         let thread = thread::spawn(move || {
             let cloud = cloud(gaussians);
-            let exhibition = Exhibition::new("test", &[], &[], Some(&cloud));
+            let scene_views = SceneViews::new("test", &[], &[], Some(&cloud));
             let mode_device = Box::new(CpuBackend::new());
             let mut live =
-                LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, mode_device).unwrap();
+                LiveView::start(([127, 0, 0, 1], 0).into(), scene_views, false, mode_device).unwrap();
             let mut backend = CpuBackend::new();
             backend.upload(cloud.into()).unwrap();
             sender.send(live.url()).unwrap();
             let settings = RenderSettings { sh_degree: 0, ..RenderSettings::default() };
-            live.exhibit(&mut Sight::new(&mut backend, settings), || of_thread.load(Ordering::Relaxed));
+            live.serve_until(&mut CloudRenderer::new(&mut backend, settings), || {
+                of_thread.load(Ordering::Relaxed)
+            });
         });
         Self { url: receiver.recv().unwrap(), stop, thread: Some(thread) }
     }

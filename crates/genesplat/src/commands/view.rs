@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use anyhow::Result;
-use genesplat::core::Sight;
+use genesplat::core::CloudRenderer;
 use genesplat::run::LOG;
 use genesplat::run::report::curves::Curves;
 use genesplat::run::{device, files, live, splat};
@@ -27,7 +27,9 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     device.upload(splat.cloud.into())?;
     live.begin(&device.describe(), gaussians, 0);
     replay(&args.splat.path, &mut live);
-    live.exhibit(&mut Sight::new(device.as_mut(), splat.settings), || stop.load(Ordering::Relaxed));
+    live.serve_until(&mut CloudRenderer::new(device.as_mut(), splat.settings), || {
+        stop.load(Ordering::Relaxed)
+    });
     Ok(())
 }
 

@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn signals_in_quick_succession_are_one() {
         let (first, now) = (OnceLock::new(), Instant::now());
-        let wishes = [0, 1, 999, 1000, 9000].map(|ms| Wish::at(now + Duration::from_millis(ms), &first));
-        assert_eq!(wishes, [Wish::Stop, Wish::Same, Wish::Same, Wish::Abort, Wish::Abort]);
+        let requests = [0, 1, 999, 1000, 9000].map(|ms| Wish::at(now + Duration::from_millis(ms), &first));
+        assert_eq!(requests, [Wish::Stop, Wish::Same, Wish::Same, Wish::Abort, Wish::Abort]);
     }
 }

@@ -23,11 +23,11 @@ const PHOTO_QUALITY: u8 = 90;
 pub enum Split {
     /// Training sees it.
     Train,
-    /// It judges.
+    /// Training never sees it.
     Test,
 }
 
-struct Exhibit {
+struct SceneView {
     split: Split,
     view: View,
     /// Made when a page wants it.
@@ -35,10 +35,10 @@ struct Exhibit {
 }
 
 /// The cameras and photos of a scene.
-pub struct Exhibition {
+pub struct SceneViews {
     title: String,
     framing: Framing,
-    exhibits: Vec<Exhibit>,
+    views: Vec<SceneView>,
 }
 
 #[derive(Serialize)]
@@ -64,57 +64,53 @@ struct CameraCard<'a> {
 }
 
 impl<'a> CameraCard<'a> {
-    fn of(exhibit: &'a Exhibit) -> Self {
-        let Camera { width, height, .. } = exhibit.view.camera;
+    fn of(scene_view: &'a SceneView) -> Self {
+        let Camera { width, height, .. } = scene_view.view.camera;
         Self {
-            name: &exhibit.view.name,
-            split: exhibit.split,
+            name: &scene_view.view.name,
+            split: scene_view.split,
             width,
             height,
-            pose: Pose::of(&exhibit.view.camera),
+            pose: Pose::of(&scene_view.view.camera),
         }
     }
 }
 
-impl Exhibition {
+impl SceneViews {
     /// A scene, photos in the order that they were taken in. `cloud` says what there is to turn around where
     /// there are no cameras.
     pub fn new(title: &str, train: &[View], test: &[View], cloud: Option<&Gaussians>) -> Self {
-        let of = |split: Split, views: &[View]| -> Vec<Exhibit> {
+        let of = |split: Split, views: &[View]| -> Vec<SceneView> {
             views
                 .iter()
-                .map(|view| Exhibit { split, view: view.clone(), thumbnail: OnceLock::new() })
+                .map(|view| SceneView { split, view: view.clone(), thumbnail: OnceLock::new() })
                 .collect()
         };
-        let mut exhibits = of(Split::Train, train);
-        exhibits.extend(of(Split::Test, test));
-        exhibits.sort_by(|a, b| a.view.name.cmp(&b.view.name));
-        let cameras: Vec<Camera> = exhibits.iter().map(|exhibit| exhibit.view.camera).collect();
+        let mut views = of(Split::Train, train);
+        views.extend(of(Split::Test, test));
+        views.sort_by(|a, b| a.view.name.cmp(&b.view.name));
+        let cameras: Vec<Camera> = views.iter().map(|scene_view| scene_view.view.camera).collect();
         let of_cloud = || Framing::of_cloud(cloud.unwrap_or(&Gaussians::default()));
-        Self {
-            title: title.into(),
-            framing: Framing::of_cameras(&cameras).unwrap_or_else(of_cloud),
-            exhibits,
-        }
+        Self { title: title.into(), framing: Framing::of_cameras(&cameras).unwrap_or_else(of_cloud), views }
     }
 
     pub(crate) fn hello(&self, can_train: bool) -> String {
-        let cameras = self.exhibits.iter().map(CameraCard::of).collect();
+        let cameras = self.views.iter().map(CameraCard::of).collect();
         let hello =
             Hello { title: &self.title, framing: self.framing, can_train, scale: css_gradient(), cameras };
         serde_json::to_string(&hello).expect("plain data with text keys is always JSON")
     }
 
     pub(crate) fn camera(&self, index: u32) -> Option<&Camera> {
-        Some(&self.exhibits.get(index as usize)?.view.camera)
+        Some(&self.views.get(index as usize)?.view.camera)
     }
 
     pub(crate) fn view(&self, index: u32) -> Option<&View> {
-        Some(&self.exhibits.get(index as usize)?.view)
+        Some(&self.views.get(index as usize)?.view)
     }
 
     pub(crate) fn thumbnail_jpeg(&self, index: u32) -> Option<Vec<u8>> {
-        let Exhibit { view, thumbnail, .. } = self.exhibits.get(index as usize)?;
+        let SceneView { view, thumbnail, .. } = self.views.get(index as usize)?;
         let made = || Some(fitted_jpeg(&*view.photo.read().ok()?, THUMBNAIL_PX, THUMBNAIL_QUALITY));
         thumbnail.get().cloned().or_else(|| made().map(|jpeg| thumbnail.get_or_init(|| jpeg).clone()))
     }

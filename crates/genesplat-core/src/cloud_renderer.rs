@@ -9,12 +9,12 @@ use crate::gaussians::Gaussians;
 use crate::image::Image;
 
 /// The cloud on a device, and how it is rendered.
-pub struct Sight<'a> {
+pub struct CloudRenderer<'a> {
     renderer: &'a mut dyn Renderer,
     settings: RenderSettings,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> CloudRenderer<'a> {
     /// What `renderer` holds, as `settings` show it.
     pub fn new(renderer: &'a mut dyn Renderer, settings: RenderSettings) -> Self {
         Self { renderer, settings }
