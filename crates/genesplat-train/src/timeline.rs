@@ -19,6 +19,10 @@ const PUBLISHED_ITERATIONS: f64 = 30_000.0;
 /// Densification starts after this iteration (3DGS; all methods).
 const DENSIFY_FROM: u32 = 500;
 
+/// Size is a reason to be pruned after this iteration, or after the first reset if that comes sooner (3DGS,
+/// whose resets come every 3,000).
+const SIZE_PRUNE_AFTER: u32 = 3000;
+
 /// Iterations between two rises of the spherical harmonics' degree (3DGS).
 const SH_EVERY: u32 = 1000;
 
@@ -280,7 +284,7 @@ impl Timeline {
             step_views: vec![(0, config.views_per_step)],
             loses_steps: true,
             growth: Growth::Free,
-            size_prune_after: length.scaled(method.reset_every),
+            size_prune_after: length.scaled(SIZE_PRUNE_AFTER).min(length.interval(method.reset_every)),
             recovery: None,
         };
         timeline.add(Event::Densify, timeline.densifications());

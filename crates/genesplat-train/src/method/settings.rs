@@ -66,8 +66,9 @@ settings! {
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates; above 0.
     /// Lower grows more Gaussians.
     gradient_threshold: f32,
-    /// Larger Gaussians are pruned once the first reset is due, in scene extents; above 0. (In forward-facing
-    /// scenes walls and floors are larger than the published size, and are lost; 10 keeps them.)
+    /// Larger Gaussians are pruned after 3,000 iterations or the first reset, in scene extents; above 0. (In
+    /// forward-facing scenes walls and floors are larger than the published size, and are lost; 10 keeps
+    /// them.)
     prune_size: f64,
     /// Iterations between two opacity resets; at least 1.
     reset_every: u32,

@@ -338,6 +338,22 @@ fn a_run_that_is_cut_short_keeps_its_events() {
     assert_eq!(short.timeline().size_prune_after, 3000);
 }
 
+/// An interval that is as short as given is not scaled, and nothing is pruned by size before the first
+/// iteration.
+#[test]
+fn size_counts_from_the_first_reset_on_at_the_latest() {
+    let after = |steps_scale, reset_every| {
+        let schedule = schedule(|config| {
+            (config.steps_scale, config.method.reset_every) = (steps_scale, reset_every);
+        });
+        schedule.timeline().size_prune_after
+    };
+    assert_eq!(
+        [after(1.0, 3000), after(0.1, 3000), after(1.0, 1000), after(0.005, 45)],
+        [3000, 300, 1000, 15]
+    );
+}
+
 #[test]
 fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
     let schedule = schedule_of(MethodName::Mcmc, |config| config.background = Background::White);

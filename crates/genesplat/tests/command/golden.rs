@@ -45,6 +45,16 @@ const CASES: [Case; 21] = [
     ("genesplat-masks", &["--method", "genesplat", "--iterations", "900"], 0xcf9d_11fb_66e4_d6f9, 21.59, 3334),
 ];
 
+/// Rounding changes which Gaussians grow, as another seed does. Twice what the seeds 0, 1 and 2 were apart in
+/// any case (2.7 %).
+const NEAR_COUNT: f64 = 0.055;
+
+/// Twice what those seeds were apart, dB: 0.48, and 1.81 on white, where 900 iterations end soon after a
+/// reset.
+fn near_db(case: &str) -> f64 {
+    if case == "3dgs-white" { 3.6 } else { 1.0 }
+}
+
 /// 64-bit FNV-1a.
 struct Fnv(u64);
 
@@ -93,8 +103,8 @@ fn every_method_makes_the_bytes_that_it_made() {
         let (found, metrics) = (hash(&cloud(&out)), json(&out.join("metrics.json")));
         let (its_psnr, its_gaussians) =
             (number(&metrics["test"]["psnr"]), metrics["gaussians"].as_u64().unwrap());
-        let is_near =
-            (its_psnr - psnr).abs() < 1.0 && its_gaussians.abs_diff(gaussians) <= 10 + gaussians / 8;
+        let is_near = (its_psnr - psnr).abs() < near_db(name)
+            && its_gaussians.abs_diff(gaussians) as f64 <= NEAR_COUNT * gaussians as f64;
         if !(if is_exact { found == expected } else { is_near }) {
             wrong.push(format!("{name}: {found:#018x}, {its_psnr:.2} dB, {its_gaussians} Gaussians"));
         }
@@ -106,12 +116,15 @@ fn every_method_makes_the_bytes_that_it_made() {
 #[test]
 fn hidden_pixels_make_other_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    let (scene, out) = (folder.path().join("scene"), folder.path().join("out"));
-    copy_scene(&scene);
-    mask_a_corner(&scene);
-    let (_, flags, expected, ..) = CASES[0];
-    succeed(train(&scene, &out, &[flags, &["--no-lpips", "--threads", "2"]].concat()));
-    assert_ne!(hash(&cloud(&out)), expected);
+    let masked = folder.path().join("masked");
+    copy_scene(&masked);
+    mask_a_corner(&masked);
+    let hash_of = |scene: &std::path::Path, name: &str| {
+        let out = folder.path().join(name);
+        succeed(train(scene, &out, &[CASES[0].1, &["--no-lpips", "--threads", "2"]].concat()));
+        hash(&cloud(&out))
+    };
+    assert_ne!(hash_of(scene(), "plain"), hash_of(&masked, "hidden"));
 }
 
 /// Hides the upper left quarter of every photo.
