@@ -1,4 +1,4 @@
-//! Every numeric stage of genesplat, twice: as a reference and for the CPU.
+//! Every numeric stage of genesplat for the CPU: f32, rayon, SIMD picked at run time.
 //!
 //! | stage | does |
 //! |---|---|
@@ -12,11 +12,9 @@
 //! | `blending_weights` | how much of each pixel every Gaussian is, times a map |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
-//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the
-//! fast one: f32, rayon, SIMD picked at run time. The GPU's stages have the same names.
+//! The GPU's stages have the same names, and so has the oracle of the tests, `genesplat-reference`.
 
 pub mod cpu;
-pub mod reference;
 
 #[cfg(test)]
 #[path = "../tests/fixtures/mod.rs"]

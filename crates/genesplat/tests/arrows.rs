@@ -8,11 +8,12 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 13] = [
+const ARROWS: [(&str, &[&str]); 14] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
     ("genesplat-metrics", &["genesplat-core", "genesplat-io"]),
+    ("genesplat-reference", &["genesplat-core"]),
     ("genesplat-kernels", &["genesplat-core"]),
     ("genesplat-cluster", &["genesplat-core", "genesplat-kernels"]),
     ("genesplat-gpu", &["genesplat-core"]),

@@ -8,7 +8,7 @@ use genesplat_core::{
     StatisticsRequest, TrainStep, View,
 };
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_kernels::reference::{self, Cloud64, Cutoff, Statistics64};
+use genesplat_reference::{self as reference, Cloud64, Cutoff, Statistics64};
 use genesplat_train::scene::filter_3d::filter_3d;
 use glam::DVec3;
 

@@ -61,10 +61,11 @@ fn clients_that_connect_and_vanish_leave_nothing_behind() {
     let pages: Vec<_> = (0..50).map(|_| show.page()).collect();
     let served = pages.iter().flatten().count();
     assert!((1..=8).contains(&served), "{served} pages are open");
-    assert!(comes_true(2, || threads() <= quiet + 8), "{} threads", threads());
+    assert!(comes_true(10, || threads() <= quiet + 8), "{} threads", threads());
     drop(pages);
     let silent: Vec<_> = (0..50).map(|_| show.connect()).collect();
-    assert!(threads() <= quiet + 32 + 1, "{} threads", threads());
+    // Threads of the pages that have gone may still be ending.
+    assert!(comes_true(10, || threads() <= quiet + 32 + 1), "{} threads", threads());
     drop(silent);
     assert!(comes_true(10, || threads() <= quiet), "{} threads instead of {quiet}", threads());
     assert_serves(&show);
@@ -91,7 +92,7 @@ fn silent_connections_keep_nobody_out_who_has_the_token() {
         page.send(look(7, 64, 48, "colour")).unwrap();
         assert_eq!(picture(page).0["sequence"], 7, "who was let in stays");
     }
-    assert!(threads() <= quiet + 4 + 32, "{} threads", threads());
+    assert!(comes_true(10, || threads() <= quiet + 4 + 32), "{} threads", threads());
     drop((silent, pages, before));
     assert!(comes_true(10, || threads() <= quiet), "{} threads instead of {quiet}", threads());
 }

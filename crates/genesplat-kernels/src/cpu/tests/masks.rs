@@ -9,7 +9,7 @@ use genesplat_core::{
 use super::{backend_with, compare, compare_gradients, flat};
 use crate::cpu::CpuBackend;
 use crate::fixtures::{cloud, individual_of, masked_view, settings, step, view};
-use crate::reference::{self, Cloud64, Cutoff, Statistics64};
+use genesplat_reference::{self as reference, Cloud64, Cutoff, Statistics64};
 
 /// All that a backend can tell after some steps on `view`.
 fn everything(view: View) -> String {

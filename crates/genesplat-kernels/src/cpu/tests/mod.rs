@@ -22,7 +22,7 @@ use genesplat_core::{
 use super::update::{ByTile, Share, UpdateInputs};
 use super::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{camera, compare_rows, settings, step, view};
-use crate::reference::Cloud64;
+use genesplat_reference::Cloud64;
 
 /// Relative L2 distance and cosine of two vectors.
 fn compare(

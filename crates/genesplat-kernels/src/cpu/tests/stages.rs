@@ -13,7 +13,7 @@ use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, shortest_row,
     small_view, uniform, view,
 };
-use crate::reference::{self, Cloud64, Cutoff};
+use genesplat_reference::{self as reference, Cloud64, Cutoff};
 
 #[test]
 fn images_match_the_reference() {

@@ -7,7 +7,7 @@ use genesplat_core::{Device, Gaussians, Moments, Renderer, ScreenFilter, TrainSt
 use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, inputs, mcmc_step};
 use crate::cpu::update::for_tests::{colours_as_they_are, gradients};
 use crate::fixtures::{cloud, settings, small_view, view};
-use crate::reference::{self, Cloud64, Cutoff};
+use genesplat_reference::{self as reference, Cloud64, Cutoff};
 
 #[test]
 fn adam_matches_the_reference() {

@@ -1,12 +1,12 @@
 //! The reference's pictures: values computed by hand, the order of splats, and inputs that must not poison a
 //! pixel.
 
-mod reference_support;
+mod support;
 
 use genesplat_core::{Camera, RenderSettings, ScreenFilter};
-use genesplat_kernels::reference::{Cloud64, Cutoff, Rendered, Splat, Symmetric2, rasterise, render};
+use genesplat_reference::{Cloud64, Cutoff, Rendered, Splat, Symmetric2, rasterise, render};
 use proptest::prelude::*;
-use reference_support::*;
+use support::*;
 
 const RED: [f64; 3] = [1.0, 0.0, 0.0];
 const GREEN: [f64; 3] = [0.0, 1.0, 0.0];

@@ -5,8 +5,8 @@ use genesplat_core::Update;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 
-use super::Cloud64;
-use super::noise::{noise, regularised};
+use crate::Cloud64;
+use crate::noise::{noise, regularised};
 
 /// Adam's moments; rows match those of the cloud.
 #[derive(Clone, Debug, Default, PartialEq)]

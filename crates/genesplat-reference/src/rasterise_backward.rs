@@ -1,8 +1,8 @@
 //! Stage `rasterise_backward`: takes the picture's gradient back to the splats.
 
-use super::cutoff::Cutoff;
-use super::project::{Splat, Symmetric2};
-use super::rasterise::{Blended, for_each_pixel};
+use crate::cutoff::Cutoff;
+use crate::project::{Splat, Symmetric2};
+use crate::rasterise::{Blended, for_each_pixel};
 
 /// Gradients of one splat, summed over all pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

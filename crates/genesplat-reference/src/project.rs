@@ -9,8 +9,8 @@ use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT};
 use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};
 
-use super::covariance::Shape;
-use super::{Cloud64, cloud::sigmoid, colour, screen_filter};
+use crate::covariance::Shape;
+use crate::{Cloud64, cloud::sigmoid, colour, screen_filter};
 
 /// Side of the published rasteriser's tiles, px: only its rule of visibility needs it here.
 const PUBLISHED_TILE_PX: f64 = 16.0;
@@ -88,7 +88,7 @@ impl Splat {
 
 /// What projection and its backward share: one Gaussian's geometry in one view.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Geometry {
+pub(crate) struct Geometry {
     /// Mean in camera coordinates.
     pub point: DVec3,
     /// `x/z` and `y/z` as the Jacobian sees them.

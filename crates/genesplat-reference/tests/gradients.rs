@@ -3,11 +3,11 @@
 //! Tolerance 1e-5 (relative). What is seen on these scenes is a few 1e-6, from the stencil itself: the smooth
 //! cut-off is a steep ramp, and rounding is divided by the step.
 
-mod reference_support;
+mod support;
 
 use genesplat_core::{Camera, Photo, RenderSettings, ScreenFilter, View};
-use genesplat_kernels::reference::{Cloud64, Cutoff, backward, gradients, loss, render};
-use reference_support::*;
+use genesplat_reference::{Cloud64, Cutoff, backward, gradients, loss, render};
+use support::*;
 
 const TOLERANCE: f64 = 1e-5;
 

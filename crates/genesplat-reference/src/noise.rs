@@ -9,9 +9,9 @@ use genesplat_core::backend::McmcStep;
 use genesplat_core::constants::{NOISE_OPACITY, NOISE_STEEPNESS};
 use glam::DVec3;
 
-use super::Cloud64;
-use super::cloud::sigmoid;
-use super::covariance::Shape;
+use crate::Cloud64;
+use crate::cloud::sigmoid;
+use crate::covariance::Shape;
 
 /// The gradient with those of `opacity_weight · mean(opacity) + scale_weight · mean(scale)` added.
 pub fn regularised(gradient: &Cloud64, cloud: &Cloud64, mcmc: &McmcStep) -> Cloud64 {

@@ -2,7 +2,8 @@
 //! be.
 //!
 //! It is the oracle that the other backends are tested against, and its own gradients are tested against
-//! finite differences. Each stage has one file, under the name that it has in every backend.
+//! finite differences. Each stage has one file, under the name that it has in every backend; without tiles,
+//! there is neither `bin` nor `score`. Only tests use it: no program has it in it.
 //!
 //! Formulas: Zwicker et al. 2001 (EWA splatting), Kerbl et al. 2023 (3DGS), Yu et al. 2024 (Mip-Splatting),
 //! Zhang et al. 2024 (Pixel-GS). Where released code departs from its own formulas, the module concerned says

@@ -4,7 +4,7 @@
 
 use genesplat_core::spherical_harmonics::{C0, SH_STRIDE};
 use genesplat_core::{Camera, Photo, Rng, Stream};
-use genesplat_kernels::reference::Cloud64;
+use genesplat_reference::Cloud64;
 use glam::{DQuat, DVec3};
 
 pub(crate) const WIDTH: u32 = 24;

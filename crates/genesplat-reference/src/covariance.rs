@@ -5,7 +5,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::Cloud64;
+use crate::Cloud64;
 
 /// torch's `normalize` divides by at least this, so that a zero quaternion stays finite.
 const QUATERNION_NORM_MIN: f64 = 1e-12;

@@ -7,9 +7,9 @@
 use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};
 
-use super::project::{Geometry, Splat, Symmetric2};
-use super::rasterise_backward::SplatGradient;
-use super::{Cloud64, cloud::sigmoid, colour, screen_filter};
+use crate::project::{Geometry, Splat, Symmetric2};
+use crate::rasterise_backward::SplatGradient;
+use crate::{Cloud64, cloud::sigmoid, colour, screen_filter};
 
 /// Back from a splat to its Gaussian: writes the row of `gradient`.
 pub fn project_backward(

@@ -8,7 +8,7 @@
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 use genesplat_core::{Mask, Photo, View};
 
-use super::planes;
+use crate::planes;
 
 /// Loss of an image `[3, H, W]` against its photo, and its gradient. The subgradient of `|x|` at 0 is 0.
 pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
@@ -34,7 +34,7 @@ pub fn loss_of_view(image: &[f64], view: &View) -> (f64, Vec<f64>) {
 }
 
 /// `planes` `[.., H, W]` with zeros where nothing counts.
-pub(super) fn hidden(planes: &[f64], mask: &Mask) -> Vec<f64> {
+pub(crate) fn hidden(planes: &[f64], mask: &Mask) -> Vec<f64> {
     let counts = mask.counts.iter().cycle();
     planes.iter().zip(counts).map(|(&value, &counts)| if counts { value } else { 0.0 }).collect()
 }

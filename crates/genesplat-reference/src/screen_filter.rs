@@ -7,7 +7,7 @@
 
 use genesplat_core::ScreenFilter;
 
-use super::project::Symmetric2;
+use crate::project::Symmetric2;
 
 /// Floor of the determinant ratio under the square root of 3DGS's antialiasing.
 const ANTIALIASED_RATIO_MIN: f64 = 2.5e-5;

@@ -4,8 +4,8 @@
 //! `C += c α T`, `T ← T (1 − α)`; what is left at the end shows the background. There is no cut at three
 //! standard deviations: every pixel where alpha reaches 1/255 counts.
 
-use super::cutoff::Cutoff;
-use super::project::{Splat, Symmetric2};
+use crate::cutoff::Cutoff;
+use crate::project::{Splat, Symmetric2};
 
 /// A picture.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -18,7 +18,7 @@ pub struct Picture64 {
 
 /// One splat in one pixel.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Blended {
+pub(crate) struct Blended {
     /// Index into the depth-sorted splats.
     pub splat: usize,
     /// Mean minus pixel centre, px.
@@ -54,7 +54,7 @@ pub fn rasterise(
 }
 
 /// Visits every pixel with what is blended into it, front first, and its final transmittance.
-pub(super) fn for_each_pixel(
+pub(crate) fn for_each_pixel(
     splats: &[Splat],
     [width, height]: [u32; 2],
     cutoff: Cutoff,

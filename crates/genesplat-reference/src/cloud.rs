@@ -65,6 +65,6 @@ impl From<&Gaussians> for Cloud64 {
 }
 
 /// The logistic function.
-pub(super) fn sigmoid(x: f64) -> f64 {
+pub(crate) fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }

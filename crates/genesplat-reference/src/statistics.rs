@@ -6,7 +6,7 @@
 
 use genesplat_core::{DensitySignal, GENES, StatisticsRequest};
 
-use super::{Cloud64, Gradients};
+use crate::{Cloud64, Gradients};
 
 /// [`genesplat_core::Statistics`] in f64.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,15 +1,15 @@
 //! The reference's loss, statistics and optimiser against values computed by hand.
 
-mod reference_support;
+mod support;
 
 use genesplat_core::backend::McmcStep;
 use genesplat_core::{
     Camera, DensitySignal, LearningRates, Photo, RenderSettings, Rng, StatisticsRequest, Stream, Update,
 };
-use genesplat_kernels::reference::{
+use genesplat_reference::{
     Cloud64, Cutoff, Gradients, Moments64, Statistics64, adam, backward, loss, render,
 };
-use reference_support::*;
+use support::*;
 
 fn planes(photo: &Photo) -> Vec<f64> {
     (0..3).flat_map(|c| photo.rgb.iter().skip(c).step_by(3).map(|v| f64::from(*v) / 255.0)).collect()

@@ -2,8 +2,8 @@
 
 use genesplat_core::{Camera, RenderSettings};
 
-use super::rasterise_backward::rasterise_backward;
-use super::{Cloud64, Cutoff, background, render, size};
+use crate::rasterise_backward::rasterise_backward;
+use crate::{Cloud64, Cutoff, background, render, size};
 
 /// `Σ α·T·m` over all pixels of a `map` `[H, W]`, as `camera` sees the cloud `[N]`: the gradient of each
 /// Gaussian's red, where that of the image's red is the map.
