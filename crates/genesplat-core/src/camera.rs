@@ -100,14 +100,14 @@ pub fn nearest_to_axes(cameras: &[Camera], prior: (DMat3, DVec3)) -> (DMat3, DVe
     })
 }
 
-/// The near plane of cameras that stand at these places, world units: [`NEAR_DEPTH`], or less where the scene
-/// is smaller than usual.
-pub fn near_of(centres: &[DVec3]) -> f64 {
+/// The near plane of cameras that stand at these places, world units: `most`, or less where the scene is small
+/// beside that. With infinity it depends on the scene alone, whatever its unit.
+pub fn near_of(centres: &[DVec3], most: f64) -> f64 {
     /// Of the largest distance of a camera from their mean.
     const FRACTION: f64 = 0.1;
     let (_, radius) = mean_and_radius(centres);
     // Cameras at one place say nothing of the scene's size.
-    if radius > 0.0 { NEAR_DEPTH.min(FRACTION * radius) } else { NEAR_DEPTH }
+    if radius > 0.0 { most.min(FRACTION * radius) } else { NEAR_DEPTH }
 }
 
 #[cfg(test)]
@@ -117,11 +117,11 @@ mod tests {
     #[test]
     fn the_near_plane_follows_small_scenes() {
         let row = |step: f64| [-1.0, 0.0, 1.0].map(|x| DVec3::new(7.0 + step * x, 1.0, 2.0));
-        assert_eq!(
-            [near_of(&row(9.0)), near_of(&row(2.0)), near_of(&row(0.0)), near_of(&[])],
-            [NEAR_DEPTH; 4]
-        );
-        assert!((near_of(&row(0.01)) - 0.001).abs() < 1e-12);
+        let usual = |centres: &[DVec3]| near_of(centres, NEAR_DEPTH);
+        assert_eq!([usual(&row(9.0)), usual(&row(2.0)), usual(&row(0.0)), usual(&[])], [NEAR_DEPTH; 4]);
+        assert!((usual(&row(0.01)) - 0.001).abs() < 1e-12);
+        let part = |step: f64| near_of(&row(step), f64::INFINITY) / step;
+        assert!([0.01, 1.0, 100.0].iter().all(|&step| (part(step) - 0.1).abs() < 1e-9));
     }
 
     #[test]

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use genesplat_core::Camera;
 use genesplat_core::camera::near_of;
+use genesplat_core::constants::NEAR_DEPTH;
 use glam::DVec3;
 
 use crate::digest::Digest;
@@ -21,6 +22,8 @@ pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
     /// None where the scene has none, or none are wanted.
     pub(crate) points: Vec<Point>,
+    /// The scene has points, whether they are wanted or not.
+    pub(crate) has_points: bool,
     /// Of the points that the scene itself has, once they are wanted.
     pub(crate) points_digest: Option<Digest>,
     /// The file that the points are from, or that names none, for errors.
@@ -63,9 +66,14 @@ pub(crate) enum Purpose {
 
 impl Listing {
     /// Gives all cameras one near plane: this, or what suits the size of the scene.
+    ///
+    /// Random points fill the space before the cameras, too. Where training starts from them the plane is as
+    /// far away in any unit, so that a scene comes out the same in metres and in centimetres.
     pub(crate) fn set_near(&mut self, near: Option<f64>) {
         let centres: Vec<DVec3> = self.photos.iter().map(|photo| photo.camera.centre_in_world()).collect();
-        let near = near.unwrap_or_else(|| near_of(&centres));
+        let starts_from_random = !self.has_points && self.cube.is_none();
+        let most = if starts_from_random { f64::INFINITY } else { NEAR_DEPTH };
+        let near = near.unwrap_or_else(|| near_of(&centres, most));
         self.photos.iter_mut().for_each(|photo| photo.camera.near = near);
     }
 

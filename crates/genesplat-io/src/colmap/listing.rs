@@ -6,7 +6,7 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
-use super::{ImageRecord, Model, ModelFolder, part_models, points_file, read_model, read_photos};
+use super::{ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
     ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out_notice, no_photos,
@@ -43,7 +43,9 @@ pub(crate) fn list(
     };
     let photos = photos.into_iter().map(listed).collect::<Result<_, SceneError>>()?;
     let points_file = points_file(folder);
-    Ok(Listing { photos, points: model.points, points_digest: None, points_file, cube: None, notices })
+    let has_points = if with_points { !model.points.is_empty() } else { has_points(&points_file) };
+    let (points, points_digest) = (model.points, None);
+    Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices })
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {

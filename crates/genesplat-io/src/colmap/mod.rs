@@ -17,7 +17,7 @@ mod write;
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 pub(crate) use check::{Finite, Judged};
@@ -186,6 +186,20 @@ fn points_file(folder: &ModelFolder) -> PathBuf {
     let own = folder.form.file(&folder.path, "points3D");
     let other = ["bin", "txt", "ply"].map(|ending| folder.path.join("points3D").with_extension(ending));
     [own.clone()].into_iter().chain(other).find(|file| file.exists()).unwrap_or(own)
+}
+
+/// Whether the file lists any point, as far as that is known without reading it whole.
+fn has_points(file: &Path) -> bool {
+    let Ok(opened) = input::open(file) else { return false };
+    let mut opened = BufReader::new(opened);
+    match file.extension().and_then(|ending| ending.to_str()) {
+        Some("ply") => true,
+        Some("bin") => {
+            let mut count = [0; 8];
+            opened.read_exact(&mut count).is_ok() && u64::from_le_bytes(count) > 0
+        }
+        _ => opened.split(b'\n').map_while(Result::ok).any(|line| !line.is_empty() && line[0] != b'#'),
+    }
 }
 
 /// The cameras in the `bytes` of `file`, by their ids.

@@ -20,7 +20,7 @@ use crate::listing::{
     ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, path_inside,
     separate, similar_notice,
 };
-use crate::scene::Cube;
+use crate::scene::{Cube, Point};
 use crate::similar::Similar;
 use crate::{ply, shown};
 
@@ -72,42 +72,66 @@ impl Found {
 
     /// With the points that the file names.
     fn into_listing(mut self, with_points: bool) -> Result<Listing, SceneError> {
-        let folder = self.list.parent().unwrap_or(Path::new(""));
         if let (true, Some(wanted)) = (self.photos.is_empty(), self.missing.first()) {
             return Err(all_missing(wanted, self.missing.len(), &self.list, None));
         }
-        let mut points_file = match &self.points {
-            Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(&self.list, name))?),
-            None => self.list.clone(),
-        };
-        let mut points = Vec::new();
-        if with_points && self.points.is_some() {
-            match points_file.exists() {
-                true => points = ply::read_points(&points_file)?,
-                false => self.notices.push(format!("the point cloud {} does not exist", shown(&points_file))),
-            }
-        }
-        if with_points && points.is_empty() {
-            points = nested::points(folder, &self.photos).unwrap_or_default();
-        }
-        let beside = BESIDE.map(|name| folder.join(name)).into_iter().find(|file| file.is_file());
-        if let (true, Some(file)) = (with_points && points.is_empty(), beside) {
-            points = ply::read_points(&file)?;
-            self.notices.push(format!(
-                "training starts from the points of {}, which the scene does not name",
-                shown(&file)
-            ));
-            points_file = file;
-        }
+        let OfPoints { points, has_points, points_file } = self.points_of(with_points)?;
         Ok(Listing {
             photos: self.photos,
             points,
+            has_points,
             points_digest: None,
             points_file,
             cube: None,
             notices: self.notices,
         })
     }
+
+    /// The points that the file names, or those of a file that lies where others put it.
+    fn points_of(&mut self, with_points: bool) -> Result<OfPoints, SceneError> {
+        let folder = self.list.parent().unwrap_or(Path::new(""));
+        let mut points_file = match &self.points {
+            Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(&self.list, name))?),
+            None => self.list.clone(),
+        };
+        let mut points = Vec::new();
+        // A file that nobody reads yet is taken for one with points.
+        let mut has_points = self.points.is_some() && points_file.exists();
+        if with_points && has_points {
+            points = ply::read_points(&points_file)?;
+            has_points = !points.is_empty();
+        } else if with_points && self.points.is_some() {
+            self.notices.push(format!("the point cloud {} does not exist", shown(&points_file)));
+        }
+        if !has_points {
+            let nested = nested::points(folder, &self.photos).unwrap_or_default();
+            has_points = !nested.is_empty();
+            points = if with_points { nested } else { Vec::new() };
+        }
+        let beside = BESIDE.map(|name| folder.join(name)).into_iter().find(|file| file.is_file());
+        if let Some(file) = beside.filter(|_| !has_points) {
+            has_points = true;
+            if with_points {
+                points = ply::read_points(&file)?;
+                has_points = !points.is_empty();
+                self.notices.push(format!(
+                    "training starts from the points of {}, which the scene does not name",
+                    shown(&file)
+                ));
+                points_file = file;
+            }
+        }
+        Ok(OfPoints { points, has_points, points_file })
+    }
+}
+
+/// What training starts from.
+struct OfPoints {
+    /// None where none are wanted.
+    points: Vec<Point>,
+    has_points: bool,
+    /// The file that they are from, or that names none.
+    points_file: PathBuf,
 }
 
 /// A photo may be missing, or be in no list, by mistake.

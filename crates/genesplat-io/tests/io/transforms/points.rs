@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use genesplat_io::Point;
+use genesplat_io::{LoadOptions, Point, Scene, load_scene};
 use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model};
 use glam::{DQuat, DVec3};
 use serde_json::json;
@@ -166,4 +166,32 @@ fn random_points_lie_before_the_cameras() {
     assert!(fraction > 0.5, "{fraction} of the points are before the camera");
     let again = load_description(&nerfstudio()).unwrap();
     assert_eq!(scene.points, again.points);
+}
+
+/// Nobody says whether a scene without points is in metres or in centimetres: it starts the same in both.
+#[test]
+fn random_points_and_the_near_plane_follow_the_unit_of_the_scene() {
+    let scene_in = |unit: f64, with_points: bool| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut description = nerfstudio();
+        for frame in description["frames"].as_array_mut().unwrap() {
+            for row in 0..3 {
+                let moved = unit * frame["transform_matrix"][row][3].as_f64().unwrap();
+                frame["transform_matrix"][row][3] = json!(moved);
+            }
+        }
+        write(folder.path(), "transforms.json", &description);
+        load_scene(folder.path(), &LoadOptions { with_points, ..LoadOptions::default() }, &()).unwrap()
+    };
+    let usual = scene_in(1.0, true);
+    for unit in [0.01, 100.0] {
+        let other = scene_in(unit, true);
+        let near = |scene: &Scene| scene.train[0].camera.near;
+        assert!((near(&other) / unit - near(&usual)).abs() < 1e-9, "{} at {unit}", near(&other));
+        assert_eq!(near(&scene_in(unit, false)), near(&other), "whoever only looks has the same plane");
+        for (a, b) in other.points.iter().zip(&usual.points) {
+            let is_close = |axis: usize| (a.position[axis] / unit as f32 - b.position[axis]).abs() < 1e-3;
+            assert!((0..3).all(is_close), "{a:?} and {b:?} at {unit}");
+        }
+    }
 }
