@@ -93,8 +93,9 @@ impl RunSession {
         match (resumes, has_checkpoint(path)) {
             (true, true) => check_own(path, CONFIG)?,
             (true, false) if path.join(METRICS).exists() => bail!(
-                "the run in {shown} is finished, so there is nothing to resume; to train longer, start a run with more --iterations in \
-                 another folder"
+                "the run in {shown} is finished, so there is nothing to resume; `genesplat refine {shown} --out FILE.ply \
+                 --iterations N` trains its splat N steps longer; a run whose whole schedule is longer starts anew, with more \
+                 --iterations in another folder"
             ),
             (true, false) => {
                 bail!("{shown} holds no checkpoint to go on from; start the run without --resume")

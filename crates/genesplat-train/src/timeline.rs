@@ -190,9 +190,17 @@ pub(crate) enum Growth {
     Free,
     /// In proportion to the iterations, until the last densification.
     Even,
-    /// Improved-GS: full after `full` of the iterations that densification has; by their root, or another
-    /// power.
-    Ramp { full: [f64; 2], power: f64 },
+    /// Improved-GS: full after `full` of the iterations that densification has, and until then in proportion
+    /// to their root, or gradually.
+    Ramp { full: [f64; 2], gradual: Option<Gradual> },
+}
+
+/// Growth by a power of the iterations, in a run that looks at each photo often.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Gradual {
+    pub(crate) power: f64,
+    /// Steps for each photo from which it counts.
+    pub(crate) looks: u32,
 }
 
 /// Improved-GS: what has recovered its opacity slowly after a reset is pruned.
@@ -372,17 +380,20 @@ impl Timeline {
         When::multiples(self.reset_every, 1, self.reset_until.min(self.iterations))
     }
 
-    /// Fraction of its limit that the cloud may have reached in iteration `i`.
-    pub(crate) fn grown(&self, i: u32) -> f64 {
+    /// Fraction of its limit that the cloud may have reached in iteration `i` of a run with so many photos.
+    pub(crate) fn grown(&self, i: u32, photos: usize) -> f64 {
         match self.growth {
             Growth::Free => 1.0,
             Growth::Even => {
                 let last = self.densify.until.saturating_sub(self.densify.every).max(1);
                 (f64::from(i) / f64::from(last)).min(1.0)
             }
-            Growth::Ramp { full, power } => {
+            Growth::Ramp { full, gradual } => {
+                let looks = self.iterations / (photos as u32).max(1);
                 let ramp = self.ramp(full, i).clamp(0.0, 1.0);
-                if power == 0.5 { ramp.sqrt() } else { ramp.powf(power) }
+                gradual
+                    .filter(|gradual| looks >= gradual.looks)
+                    .map_or_else(|| ramp.sqrt(), |gradual| ramp.powf(gradual.power))
             }
         }
     }

@@ -4,7 +4,8 @@
 //! What differs from [`super::improved_gs`]:
 //! 1. the whole schedule fits into the run, however long it is;
 //! 2. the cap is what the photos can determine (`capacity`), so that the cloud cannot learn them by heart;
-//! 3. it grows by the power 1.5 of the iterations and not by their root (`gradual_growth`);
+//! 3. where each photo is seen often it grows by the power 1.5 of the iterations and not by their root
+//!    (`gradual_growth`);
 //! 4. the mean of the last two fifths of the states is the result, and stands for the large steps
 //!    (`averaging`);
 //! 5. where each photo is seen often, some late steps look at virtual views (`virtual_views`).
@@ -19,11 +20,15 @@ use crate::config::TrainConfig;
 use crate::density::Plan;
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
-use crate::timeline::{Event, Growth, Length, Timeline, When};
+use crate::timeline::{Event, Gradual, Growth, Length, Timeline, When};
 
 /// Slower than evenly at first, when photos were hardly looked at. (On validation photos at 480 px, 2 and 1
 /// are worse.)
-const POWER: f64 = 1.5;
+const GRADUAL: Gradual = Gradual { power: 1.5, looks: GRADUAL_LOOKS };
+
+/// A run that sees each photo fewer times is still learning at its end, and wants its Gaussians early. (On
+/// bonsai's 255 photos, 27 looks each, slow growth costs 0.19 dB; with 82 and more looks it gains.)
+const GRADUAL_LOOKS: u32 = 50;
 
 /// A shorter run grows along Improved-GS's root: a cloud that is small for half of so short a run never
 /// catches up.
@@ -70,7 +75,7 @@ impl Method for Genesplat {
         let length = Length::fitted(config);
         let mut timeline = improved_gs::timeline(config, length).with_averaging(config, length);
         if config.method.gradual_growth && length.iterations >= GRADUAL_MIN {
-            timeline.growth = Growth::Ramp { full: FULL, power: POWER };
+            timeline.growth = Growth::Ramp { full: FULL, gradual: Some(GRADUAL) };
         }
         if config.method.virtual_views > 0 {
             add_virtual_views(&mut timeline, length);

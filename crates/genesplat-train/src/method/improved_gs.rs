@@ -25,9 +25,6 @@ pub(super) const CAP: usize = 1_000_000;
 /// is exact.
 pub(super) const FULL: [f64; 2] = [14_000.0, 14_500.0];
 
-/// Of which it grows along the root.
-const POWER: f64 = 0.5;
-
 /// Views that have a say in a densification.
 pub(super) const SCORE_VIEWS: usize = 10;
 
@@ -112,7 +109,7 @@ impl Method for ImprovedGs {
 pub(super) fn timeline(config: &TrainConfig, length: Length) -> Timeline {
     let mut timeline =
         Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
-    timeline.growth = Growth::Ramp { full: FULL, power: POWER };
+    timeline.growth = Growth::Ramp { full: FULL, gradual: None };
     timeline.recovery = Some(Recovery { after: length.interval(RECOVERY), until: length.scaled(SLOW_UNTIL) });
     timeline
 }
@@ -146,7 +143,7 @@ fn rules(trainer: &Trainer<'_>, i: u32) -> selection::Rules {
     let cap = trainer.run.cap.get().unwrap_or(CAP);
     selection::Rules {
         gradient_threshold: if timeline.is_full(i) { threshold / LATE_EASING } else { threshold },
-        budget: (cap as f64 * timeline.grown(i)) as usize,
+        budget: (cap as f64 * timeline.grown(i, trainer.run.views.len())) as usize,
         prune_opacity: if timeline.has_recovered(i) { RECOVERED_OPACITY } else { PRUNE_OPACITY },
         prune_fraction: if timeline.prunes_slow(i) { SLOW_FRACTION } else { 0.0 },
     }

@@ -88,7 +88,8 @@ settings! {
     /// pixels, and the pixels of one photo over 0.3. A lower `max_gaussians` counts.
     capacity: f64,
     /// The cloud approaches its limit by the power 1.5 of the iterations of density control, and not along
-    /// Improved-GS's root. (A run of less than 5,000 iterations follows the root in any case.)
+    /// Improved-GS's root. (A run of less than 5,000 iterations, or of less than 50 for each photo, follows
+    /// the root in any case.)
     gradual_growth: bool,
     /// The mean of the states of the last two fifths of the run is the result.
     averaging: bool,

@@ -114,7 +114,8 @@ impl<'a> Trainer<'a> {
             Start::Points(points) => {
                 // Before they are thinned and in another order, so that users find the one that is named.
                 check_points(&points)?;
-                self.upload_seeds(&Seeds::new(in_spatial_order(&thinned(&points, self.most_points())))?)?
+                let points = thinned(&points, self.run.cap.most_points());
+                self.upload_seeds(&Seeds::new(in_spatial_order(&points))?)?
             }
             Start::Cloud(cloud) => {
                 // Its view-dependent colours are there already.
@@ -146,20 +147,10 @@ impl<'a> Trainer<'a> {
         if !matches!(start, Start::Checkpoint(_)) {
             notices.extend(notices::of_white_surroundings(self.run.config().background, self.run.views)?);
         }
-        if let Start::Points(points) = start
-            && points.len() > self.most_points()
-        {
-            let (all, limit) = (points.len(), self.most_points());
-            notices.push(format!(
-                "the scene's {all} points are thinned evenly to the limit of {limit} Gaussians (--max-gaussians)"
-            ));
+        if let Start::Points(points) = start {
+            notices.extend(self.run.cap.notice_of_thinned_points(points.len()));
         }
         Ok(notices)
-    }
-
-    /// The user's limit holds from the first step on.
-    fn most_points(&self) -> usize {
-        self.run.config().max_gaussians.unwrap_or(usize::MAX)
     }
 
     fn upload_seeds(&mut self, seeds: &Seeds) -> Result<Cursor, TrainError> {
