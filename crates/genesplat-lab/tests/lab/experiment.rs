@@ -180,7 +180,7 @@ fn pages_are_whole_escaped_and_load_nothing() {
     let run = "cells/gallery/3dgs/genetic/seed-0/report.html";
     for page in ["report.html", run] {
         let html = fs::read_to_string(out.join(page)).unwrap();
-        assert!(html.starts_with("<!doctype html>") && html.trim_end().ends_with("</html>"));
+        assert!(html.starts_with("<!DOCTYPE html>") && html.trim_end().ends_with("</html>"));
         assert!(!html.contains("<script") && !html.contains("http:") && !html.contains("https:"), "{page}");
         assert!(html.matches("src=").count() == html.matches("src=\"data:image/jpeg;base64,").count());
         assert!(html.contains("src=") && html.len() < 900_000, "{page} has {} bytes", html.len());

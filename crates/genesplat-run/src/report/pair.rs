@@ -4,11 +4,12 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat_core::Photo;
+use maud::html;
 
 use super::curves::{Curves, over_time};
-use super::html::{Html, document};
+use super::html::{document, figures};
 use super::picture;
-use super::run::write_repeat;
+use super::run::repeat;
 use crate::LOG;
 use crate::metrics::Metrics;
 use crate::numbers::{duration, number, thousands};
@@ -41,38 +42,38 @@ pub fn to_html(
 ) -> Result<String> {
     let [without, with] = sides;
     let Metrics { seed, iterations, .. } = with.metrics;
-    let iterations = thousands(*iterations as usize);
     let [before, after] = [without, with].map(|side| side.metrics.method_words());
-    let mut page = Html::new();
-    page.element("h1", title)
-        .element("p", &format!("{before} beside {after}, {iterations} iterations each, seed {seed}"));
-    page.figures(&figures(without.metrics, with.metrics));
-    page.element("h2", "The same photo, rendered by both");
-    let seen = format!("{photo}, which training never saw. Drag the border, or move it with the arrow keys.");
-    page.element("p", &seen);
     let pictures = [(before.as_str(), without.render), (after.as_str(), with.render)];
-    picture::write_slider(&mut page, pictures, PICTURE_PX);
-    page.element("h2", "Where they differ most");
-    page.element("p", "The program chose the places. Green: where error fell most; red: where it rose most.");
-    page.open("figure class=\"sheet\"");
     let alt = &format!("The photo with the places framed, and each place enlarged: photo, {before}, {after}");
-    picture::write_sheet(&mut page, sheet, SHEET_PX, alt);
-    page.close("figure").element("h2", "Over time").open("div class=\"row\"");
     let logs = sides
         .iter()
         .map(|Side { name, folder, .. }| Ok(((*name).to_owned(), Curves::read(&folder.join(LOG))?)));
-    over_time("", &logs.collect::<Result<Vec<_>>>()?).iter().for_each(|chart| chart.write(&mut page));
-    page.close("div").element("h2", "Each run").open("ul");
-    for Side { name, .. } in sides {
-        page.open("li").open(&format!("a href=\"{name}/report.html\""));
-        page.text(&format!("The run {name}")).close("a").close("li");
-    }
-    page.close("ul");
-    write_repeat(&mut page, command);
-    Ok(document(title, page))
+    let page = html! {
+        h1 { (title) }
+        p {
+            (before) " beside " (after) ", " (thousands(*iterations as usize)) " iterations each, seed " (seed)
+        }
+        (figures(&figures_of_both(without.metrics, with.metrics)))
+        h2 { "The same photo, rendered by both" }
+        p { (photo) ", which training never saw. Drag the border, or move it with the arrow keys." }
+        (picture::slider(pictures, PICTURE_PX))
+        h2 { "Where they differ most" }
+        p { "The program chose the places. Green: where error fell most; red: where it rose most." }
+        figure.sheet { (picture::sheet(sheet, SHEET_PX, alt)) }
+        h2 { "Over time" }
+        div.row {
+            @for chart in over_time("", &logs.collect::<Result<Vec<_>>>()?) { (chart) }
+        }
+        h2 { "Each run" }
+        ul {
+            @for Side { name, .. } in sides { li { a href={ (name) "/report.html" } { "The run " (name) } } }
+        }
+        (repeat(command))
+    };
+    Ok(document(title, &page))
 }
 
-fn figures(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
+fn figures_of_both(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
     let first = without.method_words();
     let both = |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} with {first}", text(without)));
     [

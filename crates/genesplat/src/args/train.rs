@@ -1,5 +1,5 @@
-//! `genesplat train`: how long, by which method, with which evolution; and how these flags win over a
-//! configuration.
+//! `genesplat train`: how long, by which method, with the genetic search or without; and how these flags
+//! win over a configuration.
 
 use std::path::PathBuf;
 
