@@ -95,8 +95,8 @@ fn pictures(pages: &[Page]) -> Markup {
         @if !pages.is_empty() {
             h2 { "What changed" }
             p {
-                "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow "
-                "keys."
+                "Under each slider is the test photo that gained most. "
+                "Drag the border, or move it with the arrow keys."
             }
             @for (index, page) in pages.iter().enumerate() {
                 figure.sheet {

@@ -124,7 +124,9 @@ fn legend(series: &[Series]) -> Markup {
         ul.legend {
             @for (index, series) in series.iter().enumerate() {
                 li {
-                    svg viewBox="0 0 24 8" aria-hidden="true" { path.line style=(stroke(index)) d="M0 4H24" {} }
+                    svg viewBox="0 0 24 8" aria-hidden="true" {
+                        path.line style=(stroke(index)) d="M0 4H24" {}
+                    }
                     span { (series.name) }
                 }
             }

@@ -51,7 +51,8 @@ pub fn to_html(
     let page = html! {
         h1 { (title) }
         p {
-            (before) " beside " (after) ", " (thousands(*iterations as usize)) " iterations each, seed " (seed)
+            (before) " beside " (after) ", "
+            (thousands(*iterations as usize)) " iterations each, seed " (seed)
         }
         (figures(&figures_of_both(without.metrics, with.metrics)))
         h2 { "The same photo, rendered by both" }
@@ -83,4 +84,36 @@ fn figures_of_both(without: &Metrics, with: &Metrics) -> [(&'static str, String,
         ("Training time", both(&|run| duration(run.seconds.training()))),
     ]
     .map(|(name, (value, more))| (name, value, more))
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_train::MethodName::{self, Genesplat, ThreeDgs};
+
+    use super::*;
+
+    fn metrics(method: MethodName, psnr: f64) -> Metrics {
+        let scores = serde_json::json!({"psnr": psnr, "ssim": 0.9, "views": []});
+        let metrics = serde_json::json!({"iterations": 7000, "gaussians": 4300, "test": scores, "train": scores,
+            "seconds": {"gradient": 60.0, "evolution": 0.0}});
+        Metrics { method, seed: 7, ..serde_json::from_value(metrics).unwrap() }
+    }
+
+    #[test]
+    fn both_runs_have_their_figures_pictures_and_links() {
+        let (photo, nowhere) = (Photo { width: 20, height: 10, rgb: vec![90; 600] }, Path::new("nowhere"));
+        let (published, ours) = (metrics(ThreeDgs, 25.5), metrics(Genesplat, 26.25));
+        let side = |name, metrics| Side { name, metrics, folder: nowhere, render: &photo };
+        let sides = [side("3dgs", &published), side("<ours>", &ours)];
+        let page = to_html("<fox>", &sides, "a.png", &photo, "genesplat demo").unwrap();
+        let parts = [
+            "<h1>&lt;fox&gt;</h1>",
+            "3dgs beside genesplat, 7,000 iterations each, seed 7",
+            "<dd>26.25 dB<small>25.50 dB with 3dgs</small></dd>",
+            "<a href=\"&lt;ours&gt;/report.html\">The run &lt;ours&gt;</a>",
+            "a.png, which training never saw",
+        ];
+        parts.iter().for_each(|part| assert!(page.contains(part), "{part}"));
+        assert_eq!(page.matches("<img").count(), 3, "two under the slider, and the sheet");
+    }
 }

@@ -82,7 +82,8 @@ impl RunPage<'_> {
         Ok(html! {
             figure {
                 figcaption {
-                    (word) ": " (name) ", " (number(Some(*psnr), 2, " dB")) ", SSIM " (number(Some(*ssim), 4, ""))
+                    (word) ": " (name) ", " (number(Some(*psnr), 2, " dB"))
+                    ", SSIM " (number(Some(*ssim), 4, ""))
                 }
                 (picture::slider([("photo", &photo), ("render", &render)], PICTURE_PX))
             }

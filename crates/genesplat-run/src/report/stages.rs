@@ -35,8 +35,8 @@ fn about(kind: StageKind) -> &'static str {
         StageKind::Genetic => "A genetic search stays if the loss on its training photos falls.",
         StageKind::ExtraSteps => "Extra steps are gradient steps in the place of a search, and always stay.",
         StageKind::Averaging => {
-            "Averages of the last states fit training photos a little less as a rule, and others better; they stay unless the guards, \
-             which are training photos, lose 0.6 dB by them."
+            "Averages of the last states fit training photos a little less as a rule, and others better; \
+             they stay unless the guards, which are training photos, lose 0.6 dB by them."
         }
     }
 }

@@ -27,8 +27,8 @@ pub(crate) fn section(timeline: &Timeline) -> Markup {
                 }
                 @for (part, anchor) in [(0.0, "start"), (0.5, "middle"), (1.0, "end")] {
                     @let i = (f64::from(timeline.iterations) * part).round();
-                    @let x = x_of(i, timeline.iterations);
-                    text x=(tenths(x)) y=(tenths(height - 6.0)) text-anchor=(anchor) { (thousands(i as usize)) }
+                    @let [x, y] = [x_of(i, timeline.iterations), height - 6.0].map(tenths);
+                    text x=(x) y=(y) text-anchor=(anchor) { (thousands(i as usize)) }
                 }
             }
         }
