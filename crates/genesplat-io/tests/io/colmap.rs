@@ -334,25 +334,53 @@ fn a_lens_is_read_and_undone_in_both_forms() {
 fn photos_that_cannot_be_used_are_named() {
     let first = |scene: &Path| scene.join("images/a b/000.png");
     type Spoil<'a> = Box<dyn Fn(&Path) + 'a>;
-    let jpeg: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";
     let half = |path: &Path| {
         photos::write_png(path, &tiny_photo(0, [40, 40])).unwrap();
         let bytes = fs::read(path).unwrap();
         fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
     };
-    let cases: [(Spoil, &str); 7] = [
+    let cases: [(Spoil, &str); 4] = [
         (Box::new(|s| fs::remove_dir_all(s.join("images")).unwrap()), "none of the 3 photos"),
-        (Box::new(|s| fs::write(first(s), b"not a picture").unwrap()), "neither a PNG nor a JPEG nor a WebP"),
-        (Box::new(|s| fs::write(first(s), jpeg).unwrap()), "cut off"),
         (Box::new(|s| photos::write_png(&first(s), &tiny_photo(0, [40, 40])).unwrap()), "is 40x40 pixels"),
         // Its size is looked at before a pixel is decoded.
         (Box::new(|s| half(&first(s))), "is 40x40 pixels"),
-        (Box::new(|s| fs::write(first(s), claiming(CLAIM)).unwrap()), "13344x18742 pixels"),
         (Box::new(|s| photos::write_png(&first(s), &tiny_photo(0, [20, 15])).unwrap()), "at 20x15 pixels"),
     ];
     for (spoil, expected) in cases {
         let sentence = refusal(Form::Binary, &tiny_model(3), spoil);
         assert!(sentence.contains(expected) && sentence.contains("images"), "{sentence}");
+    }
+}
+
+/// As one that is absent is; where none is left to train on, the first says why.
+#[test]
+fn a_damaged_photo_is_left_out_and_counted() {
+    let torn: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";
+    for (bytes, problem) in [
+        (b"not a picture".to_vec(), "neither a PNG nor a JPEG nor a WebP"),
+        (torn.to_vec(), "cut off"),
+        (claiming(CLAIM), "13344x18742 pixels"),
+    ] {
+        for (damaged, left) in [(0, [2, 0]), (1, [1, 1])] {
+            let folder = tempfile::tempdir().unwrap();
+            write_scene(folder.path(), Form::Binary, &tiny_model(3));
+            let photo = |index: usize| folder.path().join(format!("images/a b/{index:03}.png"));
+            fs::write(photo(damaged), &bytes).unwrap();
+            let load = || load_scene(folder.path(), &LoadOptions::default(), &());
+            let scene = load().unwrap();
+            assert_eq!([scene.train.len(), scene.test.len()], left);
+            let [notice] = &scene.notices[..] else { panic!("{:?}", scene.notices) };
+            assert!(
+                notice.starts_with("1 of the 3 photos cannot be used and is left out, first: "),
+                "{notice}"
+            );
+            assert!(notice.contains(problem) && notice.contains(&format!("00{damaged}.png")), "{notice}");
+            let digests = genesplat_io::scene_digests(folder.path(), &LoadOptions::default()).unwrap();
+            assert_eq!(digests.photos, scene.digests.photos, "a photo that is repaired is another");
+            (1..3).for_each(|index| fs::write(photo(index), &bytes).unwrap());
+            let sentence = load().unwrap_err().to_string();
+            assert!(sentence.contains(problem) && sentence.contains("export it again"), "{sentence}");
+        }
     }
 }
 

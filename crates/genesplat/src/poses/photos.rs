@@ -55,11 +55,9 @@ impl Source {
         let shown = shown(path);
         ensure!(path.exists(), "{shown} does not exist; give a folder of photos, or a video");
         if path.is_file() && !is_zip(path) {
-            let is_video = has_ending(&path.to_string_lossy(), &VIDEO_ENDINGS);
             ensure!(
-                is_video,
-                "{shown} is neither a folder or a zip of photos nor a video ({})",
-                VIDEO_ENDINGS.join(", ")
+                is_video(path),
+                "{shown} is neither a folder or a zip of photos nor a video that ffmpeg reads"
             );
             return Ok(Self::Video { path: path.to_owned(), frames: frames.unwrap_or(FRAMES) });
         }
@@ -171,6 +169,13 @@ impl Source {
     }
 }
 
+/// Whether a file is a video: by a usual name, or by what ffmpeg finds in it. It takes a photo for a short one.
+fn is_video(path: &Path) -> bool {
+    let has = |endings: &[&str]| has_ending(&path.to_string_lossy(), endings);
+    let is_photo = has(&PHOTO_ENDINGS) || has(&UNREAD);
+    has(&VIDEO_ENDINGS) || (!is_photo && video::is_video(path) == Some(true))
+}
+
 /// Whether the stages of a scene have been begun in `work`.
 pub(crate) fn is_begun(work: &Path) -> bool {
     work.join(RECORD).is_file()
@@ -208,7 +213,7 @@ fn photos_of(path: &Path) -> Result<Photos> {
     }
     let beside = folder.ends_with(IMAGES).then(|| folder.with_file_name(masks::FOLDER));
     let all = [&photos[..], &heic].concat();
-    let masks = masks::of_photos(&all, &masks.into_iter().chain(beside).collect::<Vec<_>>());
+    let masks = masks::of_photos(&all, &masks.into_iter().chain(beside).collect::<Vec<_>>())?;
     Ok(Photos { path: folder, names: photos, heic, masks })
 }
 
