@@ -253,7 +253,7 @@ mod tests {
             make.args(source).args(["-c:v", ending, "-r", "25", "-f", format]).arg(&video);
             assert!(make.output().unwrap().status.success(), "{name}");
             assert_eq!(is_video(&video), Some(true), "{name}");
-            fs::write(&video.with_extension("abc"), "no film").unwrap();
+            fs::write(video.with_extension("abc"), "no film").unwrap();
             assert_eq!(is_video(&video.with_extension("abc")), Some(false));
             let _ = fs::remove_file(work.join(MARK));
             assert!(take_frames(&video, 2, &images, &work, &AtomicBool::new(false)).unwrap());

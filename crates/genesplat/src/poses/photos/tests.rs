@@ -205,6 +205,10 @@ fn what_is_neither_photos_nor_a_video_is_said() {
     for name in ["empty/notes.txt", "phone/1.dng", "photos/1.jpg", "scene.zip", "scene.rar"] {
         file(place.path(), name);
     }
+    // Cameras would be found on what they hide.
+    ["masked/1.jpg", "masked/masks/IMG_7.png"].iter().for_each(|name| file(place.path(), name));
+    let unfit = refusal("masked", None);
+    assert!(unfit.contains("no mask of any photo") && unfit.contains("like IMG_7.png"), "{unfit}");
     assert!(refusal("absent", None).contains("does not exist"));
     assert!(refusal("empty", None).contains("holds no photos"));
     assert!(refusal("phone", None).contains("1.dng is one of 1"));
