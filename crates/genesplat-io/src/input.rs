@@ -27,7 +27,8 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     String::from_utf8(as_utf8(&bytes).into_owned()).map_err(not_text)
 }
 
-/// Text as UTF-8, without the mark that editors of Windows put before it; they write UTF-16, too, and mark it.
+/// Text as UTF-8, without the mark that editors of Windows put before it; they write UTF-16, too, and mark
+/// it.
 pub(crate) fn as_utf8(text: &[u8]) -> Cow<'_, [u8]> {
     let of_utf16 = |units: &[u8], unit: fn([u8; 2]) -> u16| {
         let units: Vec<u16> = units.chunks_exact(2).map(|pair| unit([pair[0], pair[1]])).collect();

@@ -24,8 +24,8 @@ pub(crate) struct PhotoFolder {
 }
 
 impl PhotoFolder {
-    /// This one, or that of the list, or that of the scene: the first that has a photo of `images`; and whether
-    /// it is another.
+    /// This one, or that of the list, or that of the scene: the first that has a photo of `images`; and
+    /// whether it is another.
     fn settled(&self, images: &[ImageRecord], list: &Path) -> (PathBuf, bool) {
         let own = similar::folder(&self.path);
         let beside = [list.parent(), self.path.parent()].into_iter().flatten().filter(|_| self.is_usual);

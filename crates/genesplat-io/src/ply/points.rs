@@ -48,11 +48,14 @@ pub(crate) fn parse_points(
     Ok(finite)
 }
 
-/// The value that stands for a colour's 255: 1 in files that write colours as fractions, which the format
-/// leaves open.
-pub(super) fn full_colour(are_floats: bool, mut colours: impl Iterator<Item = [f32; 3]>) -> f32 {
-    let is_fraction = |[red, green, blue]: [f32; 3]| red.max(green).max(blue) <= 1.0;
-    if are_floats && colours.all(is_fraction) { 1.0 } else { 255.0 }
+/// The value that stands for a colour's 255: 1 in files that write colours as fractions, and 65,535 in those
+/// of laser scanners, which the format leaves open.
+pub(super) fn full_colour(are_floats: bool, colours: impl Iterator<Item = [f32; 3]>) -> f32 {
+    match colours.flatten().fold(0.0, f32::max) {
+        most if are_floats && most <= 1.0 => 1.0,
+        most if most > 255.0 => 65_535.0,
+        _ => 255.0,
+    }
 }
 
 fn level(rgb: [f32; 3], full: Option<f32>) -> [u8; 3] {

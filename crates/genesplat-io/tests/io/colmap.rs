@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DQuat, DVec3};
 
-use crate::common::{CLAIM, SIZE, claiming, tiny_model, tiny_photo, write_form, write_scene};
+use crate::common::{SIZE, tiny_model, tiny_photo, write_form, write_scene};
 use genesplat_io::colmap::{Form, Intrinsics, Model, ModelFolder, find_model, read_model, write_model};
 use genesplat_io::{HoldOut, LoadOptions, LoadProgress, PhotoSize, SceneError, load_scene, photos};
 
@@ -349,38 +349,6 @@ fn photos_that_cannot_be_used_are_named() {
     for (spoil, expected) in cases {
         let sentence = refusal(Form::Binary, &tiny_model(3), spoil);
         assert!(sentence.contains(expected) && sentence.contains("images"), "{sentence}");
-    }
-}
-
-/// As one that is absent is; where none is left to train on, the first says why.
-#[test]
-fn a_damaged_photo_is_left_out_and_counted() {
-    let torn: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";
-    for (bytes, problem) in [
-        (b"not a picture".to_vec(), "neither a PNG nor a JPEG nor a WebP"),
-        (torn.to_vec(), "cut off"),
-        (claiming(CLAIM), "13344x18742 pixels"),
-    ] {
-        for (damaged, left) in [(0, [2, 0]), (1, [1, 1])] {
-            let folder = tempfile::tempdir().unwrap();
-            write_scene(folder.path(), Form::Binary, &tiny_model(3));
-            let photo = |index: usize| folder.path().join(format!("images/a b/{index:03}.png"));
-            fs::write(photo(damaged), &bytes).unwrap();
-            let load = || load_scene(folder.path(), &LoadOptions::default(), &());
-            let scene = load().unwrap();
-            assert_eq!([scene.train.len(), scene.test.len()], left);
-            let [notice] = &scene.notices[..] else { panic!("{:?}", scene.notices) };
-            assert!(
-                notice.starts_with("1 of the 3 photos cannot be used and is left out, first: "),
-                "{notice}"
-            );
-            assert!(notice.contains(problem) && notice.contains(&format!("00{damaged}.png")), "{notice}");
-            let digests = genesplat_io::scene_digests(folder.path(), &LoadOptions::default()).unwrap();
-            assert_eq!(digests.photos, scene.digests.photos, "a photo that is repaired is another");
-            (1..3).for_each(|index| fs::write(photo(index), &bytes).unwrap());
-            let sentence = load().unwrap_err().to_string();
-            assert!(sentence.contains(problem) && sentence.contains("export it again"), "{sentence}");
-        }
     }
 }
 

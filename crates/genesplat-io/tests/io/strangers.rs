@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::{tiny_model, write_form, write_scene};
+use crate::common::{CLAIM, claiming, tiny_model, write_form, write_scene};
 use genesplat_io::colmap::Form;
 use genesplat_io::{HoldOut, LoadOptions, MaskUse, Scene, load_scene};
 
@@ -140,4 +140,36 @@ fn lists_of_cameras_may_be_utf_16() {
     }
     let scene = load(place.path(), &LoadOptions::default()).unwrap();
     assert_eq!((scene.train.len(), scene.points.len()), (2, 9));
+}
+
+/// As one that is absent is; where none is left to train on, the first says why.
+#[test]
+fn a_damaged_photo_is_left_out_and_counted() {
+    let torn: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";
+    for (bytes, problem) in [
+        (b"not a picture".to_vec(), "neither a PNG nor a JPEG nor a WebP"),
+        (torn.to_vec(), "cut off"),
+        (claiming(CLAIM), "13344x18742 pixels"),
+    ] {
+        for (damaged, left) in [(0, [2, 0]), (1, [1, 1])] {
+            let folder = tempfile::tempdir().unwrap();
+            write_scene(folder.path(), Form::Binary, &tiny_model(3));
+            let photo = |index: usize| folder.path().join(format!("images/a b/{index:03}.png"));
+            fs::write(photo(damaged), &bytes).unwrap();
+            let load = || load_scene(folder.path(), &LoadOptions::default(), &());
+            let scene = load().unwrap();
+            assert_eq!([scene.train.len(), scene.test.len()], left);
+            let [notice] = &scene.notices[..] else { panic!("{:?}", scene.notices) };
+            assert!(
+                notice.starts_with("1 of the 3 photos cannot be used and is left out, first: "),
+                "{notice}"
+            );
+            assert!(notice.contains(problem) && notice.contains(&format!("00{damaged}.png")), "{notice}");
+            let digests = genesplat_io::scene_digests(folder.path(), &LoadOptions::default()).unwrap();
+            assert_eq!(digests.photos, scene.digests.photos, "a photo that is repaired is another");
+            (1..3).for_each(|index| fs::write(photo(index), &bytes).unwrap());
+            let sentence = load().unwrap_err().to_string();
+            assert!(sentence.contains(problem) && sentence.contains("export it again"), "{sentence}");
+        }
+    }
 }

@@ -37,13 +37,15 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     check(args, schedule.config())?;
     splat.settings = schedule.render_settings();
     let scene = splat.load_scene_to_train(&data, &args.photos.asked()?)?;
-    scene::check_promising(&scene, args.anyway)?;
+    // What a run was begun with is no news.
+    let is_own = splat.began_with(&scene);
+    scene::check_promising(&scene, args.anyway || is_own)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag();
     let mut device = device::open(args.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
     print_scores("before", &mut device, &scene, &splat.settings)?;
-    if !args.anyway && !splat.began_with(&scene) {
+    if !args.anyway && !is_own {
         check_shows(&mut device, &scene, &splat.settings, &args.splat)?;
     }
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
