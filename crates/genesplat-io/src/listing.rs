@@ -14,7 +14,7 @@ use crate::alike::difference;
 use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::photos::{Lens, PhotoError};
-use crate::scene::{Cube, Doubt, Point};
+use crate::scene::{Cube, Doubt, Point, mask_beside};
 use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
 use crate::{names, plural, shown};
 
@@ -269,10 +269,12 @@ pub(crate) fn left_out<'a>(found: impl Iterator<Item = &'a Path> + Clone) -> Opt
     let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
     let there: Vec<PathBuf> =
         folders.into_iter().flat_map(entries).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)).collect();
+    let masks: HashSet<PathBuf> = found.clone().filter_map(mask_beside).collect();
     // A photo may lie beside what was made of it: `a.webp` beside `a.webp.png`.
     let is_used = |photo: &Path| {
         [photo.file_stem(), photo.file_name()].into_iter().flatten().any(|name| stems.contains(name))
     };
+    let there: Vec<PathBuf> = there.into_iter().filter(|photo| !masks.contains(photo)).collect();
     let left_out: Vec<&PathBuf> = there.iter().filter(|photo| !is_used(photo)).collect();
     let first = left_out.iter().min()?.to_path_buf();
     Some(LeftOut { count: left_out.len(), all: there.len(), first })

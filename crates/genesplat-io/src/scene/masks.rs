@@ -1,4 +1,4 @@
-//! Masks beside the photos of a scene, in `masks` or `mask`: `NAME.jpg.png` as COLMAP names them, `NAME.jpg`
+//! Masks of the photos of a scene, in `masks` or `mask` beside them, or among them: `NAME.jpg.png` as COLMAP names them, `NAME.jpg`
 //! or `NAME.png` as nerfstudio does, `NAME.jpg.mask.png` as RealityScan, `NAME_mask.png` as Metashape; in any
 //! case, and with any ending of a picture.
 
@@ -76,6 +76,9 @@ pub(super) fn find(listing: &mut Listing, scene: &Path, mask_use: MaskUse) {
     if mask_use == MaskUse::Off {
         return listing.photos.iter_mut().for_each(|photo| photo.mask = None);
     }
+    for photo in &mut listing.photos {
+        photo.mask = photo.mask.take().or_else(|| mask_beside(&photo.path));
+    }
     let folders = ["masks", "mask"].map(|name| similar::folder(&scene.join(name)));
     let Some(folder) = folders.into_iter().find(|folder| folder.is_dir()) else { return };
     let mut masks = Masks::new(folder);
@@ -90,6 +93,14 @@ pub(super) fn find(listing: &mut Listing, scene: &Path, mask_use: MaskUse) {
         .misfit(&first.name)
         .map(|problem| Doubt { problem, remedy: "rename them, or go on without masks by --mask off".into() });
     listing.doubts.extend(doubt);
+}
+
+/// The mask of `photo` that lies beside it, as RealityScan has it: under a name that no photo has.
+pub fn mask_beside(photo: &Path) -> Option<PathBuf> {
+    let name = photo.file_name()?.to_str()?;
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let names = [format!("{name}.mask.png"), format!("{stem}.mask.png"), format!("{stem}_mask.png")];
+    names.into_iter().map(|name| photo.with_file_name(name)).find(|mask| mask.is_file())
 }
 
 /// A folder of masks.

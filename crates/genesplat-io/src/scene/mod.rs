@@ -23,7 +23,7 @@ use rayon::prelude::*;
 pub use digests::{PhotoDigests, SceneDigests};
 pub use doubt::Doubt;
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
-pub use masks::{MaskUse, Masks};
+pub use masks::{MaskUse, Masks, mask_beside};
 pub(crate) use random_points::Cube;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;

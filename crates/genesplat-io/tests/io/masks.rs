@@ -60,6 +60,21 @@ fn masks_of_other_programs_are_found() {
     assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 1200]);
 }
 
+/// As RealityScan writes them; they are no photos without cameras.
+#[test]
+fn masks_among_the_photos_are_found() {
+    for name in ["000.png.mask.png", "000.mask.png", "000_mask.png"] {
+        let place = tempfile::tempdir().unwrap();
+        write_scene(place.path(), Form::Binary, &tiny_model(2));
+        photos::write_png(&place.path().join("images/a b").join(name), &mask()).unwrap();
+        let scene = load(place.path(), MaskUse::Usual).unwrap();
+        assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 1200], "{name}");
+        assert_eq!(scene.notices.len(), 1, "{:?}", scene.notices);
+        let without = load(place.path(), MaskUse::Off).unwrap();
+        assert!(views(&without).all(|view| view.mask.is_none()) && without.notices.is_empty());
+    }
+}
+
 /// RealityScan's, Metashape's, and those of people; photos are found in as many ways.
 #[test]
 fn masks_are_found_whatever_their_case_and_ending() {
