@@ -14,6 +14,8 @@ pub trait Tell: Send + Sync {
     fn tell(&self, text: &str);
     /// A notice that can wait for the end.
     fn note(&self, text: &str);
+    /// What helps to find a fault, and nobody needs else.
+    fn detail(&self, text: &str);
     /// Work that takes its time begins.
     fn begin(&self, work: &Work<'_>) -> Box<dyn Progress>;
     /// Calls `ask`, while what graphics drivers write to stderr is of no interest.
@@ -64,6 +66,13 @@ pub fn tell(text: &str) {
 pub fn note(text: &str) {
     if let Some(listener) = LISTENER.get() {
         listener.note(text);
+    }
+}
+
+/// Says what helps to find a fault, and nobody needs else.
+pub fn detail(text: &str) {
+    if let Some(listener) = LISTENER.get() {
+        listener.detail(text);
     }
 }
 

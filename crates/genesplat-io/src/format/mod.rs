@@ -104,6 +104,8 @@ pub struct Loaded {
     pub sh_degree: u8,
     /// How a viewer should filter; `None` where the file does not say.
     pub screen_filter: Option<ScreenFilter>,
+    /// The same before those above 3 were left out.
+    pub sh_degree_in_file: u8,
     /// The file holds flat Gaussians (2DGS); here they are 1e-6 world units thick.
     pub is_2dgs: bool,
 }
@@ -174,10 +176,11 @@ fn checked(path: &Path, loaded: Loaded) -> Result<Loaded, FormatError> {
 }
 
 fn finished(format: Format, decoded: Decoded) -> Loaded {
-    let Decoded { mut cloud, sh_degree, screen_filter, is_2dgs } = decoded;
+    let Decoded { mut cloud, sh_degree: sh_degree_in_file, screen_filter, is_2dgs } = decoded;
+    let sh_degree = sh_degree_in_file.min(SH_DEGREE_MAX);
     packing::clamp_opacities(&mut cloud);
     packing::clamp_log_scales(&mut cloud);
-    Loaded { cloud, format, sh_degree, screen_filter, is_2dgs }
+    Loaded { cloud, format, sh_degree, sh_degree_in_file, screen_filter, is_2dgs }
 }
 
 fn decode(path: &Path, format: Format) -> Result<Decoded, FormatError> {

@@ -12,6 +12,8 @@ mod lenses;
 mod masks;
 mod photos;
 mod ply;
+mod ply_kinds;
 mod real_scenes;
 mod split;
+mod strangers;
 mod transforms;

@@ -61,7 +61,9 @@ impl Cap {
         let most = self.most_points(all);
         let source = match self.asked {
             Some(asked) if asked == most => "--max-gaussians",
-            _ => "a quarter of what the photos can determine, so that the rest can grow where it is needed; method.capacity",
+            _ => {
+                "a quarter of what the photos can determine, so that the rest can grow where it is needed; method.capacity"
+            }
         };
         (all > most).then(|| format!("the scene's {all} points are thinned evenly to {most} ({source})"))
     }
@@ -137,7 +139,9 @@ mod tests {
         assert_eq!((starts(ThreeDgs, None, 0.0), starts(ThreeDgs, Some(7), 0.0)), (usize::MAX, 7));
         let told = |points| of(Genesplat, None, 1.0).notice_of_thinned_points(points);
         assert_eq!(told(900), None, "the points of photos are kept");
-        assert!(told(901).unwrap().starts_with("the scene's 901 points are thinned evenly to 225 (a quarter"));
+        assert!(
+            told(901).unwrap().starts_with("the scene's 901 points are thinned evenly to 225 (a quarter")
+        );
         let cap = |method, max_gaussians, capacity| of(method, max_gaussians, capacity).get();
         // 9 · 600 pixels over 2 · √9, which is less than 600 over 0.3.
         assert_eq!(cap(Genesplat, None, 1.0), Some(900));

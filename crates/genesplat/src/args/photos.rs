@@ -20,8 +20,8 @@ pub(crate) struct PhotosArgs {
     pub(crate) images: Option<PathBuf>,
     #[command(flatten)]
     hold_out: HoldOutArgs,
-    /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and
-    /// transparency mean [default: usual]
+    /// What masks (masks/NAME.jpg.png, masks/NAME.png and the like beside the photos, black where they hide)
+    /// and transparency mean [default: usual]
     #[arg(long, value_name = "USE", value_parser = choice(MASKS), help_heading = MORE)]
     mask: Option<MaskUse>,
     /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way

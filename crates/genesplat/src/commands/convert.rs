@@ -54,7 +54,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let Some(scene) = scene else { return Ok(()) };
 
     let background = splat.settings.background;
-    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let mut score = |when: &str, mut splat: Splat| {
         splat.settings.background = background;
         backend.upload(splat.cloud.into())?;

@@ -39,7 +39,7 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
     let shots = match &scene {
         Some(scene) => {
-            let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
+            let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
             backend.upload(splat.cloud.into())?;
             shoot(scene, backend.as_mut(), &settings)?
         }

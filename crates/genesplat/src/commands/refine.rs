@@ -1,8 +1,10 @@
 //! `genesplat refine`: makes a splat of any trainer better, by gradient steps whose last states are averaged,
 //! or by the genetic search alone.
 
+use std::path::Path;
+
 use anyhow::{Result, bail, ensure};
-use genesplat::core::{RenderSettings, ScreenFilter};
+use genesplat::core::{RenderSettings, ScreenFilter, View};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
 use genesplat::run::device::Device;
@@ -12,7 +14,7 @@ use genesplat::run::reporter::Reporter;
 use genesplat::run::score::evaluate_all;
 use genesplat::run::settings::{ConfigFile, check_hidden};
 use genesplat::run::splat::Splat;
-use genesplat::run::{device, files, splat};
+use genesplat::run::{device, files, scene, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 use genesplat::train::{
@@ -23,6 +25,8 @@ use toml::Table;
 use crate::args::RefineArgs;
 
 const ITERATIONS: u32 = 2000;
+/// Photos that a splat is compared with before it is refined, at most.
+const VIEWS_COMPARED: usize = 16;
 
 /// Refines, and writes what came of it; Ctrl-C ends it early.
 pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
@@ -32,12 +36,18 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     check_hidden(splat.mask(&data, &args.photos.asked()?)?, schedule.config().background)?;
     check(args, schedule.config())?;
     splat.settings = schedule.render_settings();
-    let scene = splat.load_scene(&data, &args.photos.asked()?)?;
+    let scene = splat.load_scene_to_train(&data, &args.photos.asked()?)?;
+    // What a run was begun with is no news.
+    let is_own = splat.began_with(&scene);
+    scene::check_promising(&scene, args.anyway || is_own)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag();
-    let mut device = device::open(args.machine.device.unwrap_or_default())?;
+    let mut device = device::open(args.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
     print_scores("before", &mut device, &scene, &splat.settings)?;
+    if !args.anyway && !is_own {
+        check_shows(&mut device, &scene, &splat.settings, &args.splat)?;
+    }
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
     let outcome: Outcome = if schedule.config().genetic.is_some() {
         search(device.as_mut(), views, splat.cloud, &schedule, &mut reporter, &stop)?
@@ -107,6 +117,44 @@ fn check(args: &RefineArgs, train: &TrainConfig) -> Result<()> {
 fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
     let usual = if given.name == name { given } else { MethodConfig::of(name) };
     MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }
+}
+
+/// Fails where a splat shows most photos worse than the mean colour of each would: it is one of another scene,
+/// or in another frame.
+fn check_shows(device: &mut Device, scene: &Scene, settings: &RenderSettings, path: &Path) -> Result<()> {
+    let views = &scene.train[..scene.train.len().min(VIEWS_COMPARED)];
+    let scores = evaluate_all(device, views, settings, None)?;
+    let mut misses = 0;
+    for (view, score) in views.iter().zip(&scores.views) {
+        misses += usize::from(score.psnr < psnr_of_mean(view)?);
+    }
+    ensure!(
+        2 * misses < views.len(),
+        "{} shows {misses} of {} photos of {} worse than one colour for each photo would, so it is a splat of another scene or in \
+         other axes; give the --data that it was trained on, or go on with --anyway",
+        shown(path),
+        views.len(),
+        shown(&scene.name)
+    );
+    Ok(())
+}
+
+/// PSNR of the mean colour of what counts of a photo, dB.
+fn psnr_of_mean(view: &View) -> Result<f64> {
+    let photo = view.photo.read()?;
+    let counts = |pixel: usize| view.mask.as_ref().is_none_or(|mask| mask.counts[pixel]);
+    let mut sums = [[0.0; 3]; 2];
+    let pixels = photo.rgb.chunks_exact(3).enumerate().filter(|(pixel, _)| counts(*pixel));
+    for (_, rgb) in pixels {
+        for (channel, &level) in rgb.iter().enumerate() {
+            let level = f64::from(level) / 255.0;
+            sums[0][channel] += level;
+            sums[1][channel] += level * level;
+        }
+    }
+    let count = view.counted_pixels() as f64;
+    let variances = [0, 1, 2].map(|channel| sums[1][channel] / count - (sums[0][channel] / count).powi(2));
+    Ok(-10.0 * (variances.iter().sum::<f64>() / 3.0).max(1e-10).log10())
 }
 
 fn print_scores(when: &str, device: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {

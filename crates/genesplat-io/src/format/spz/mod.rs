@@ -12,7 +12,7 @@ mod container;
 
 use std::path::Path;
 
-use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
+use genesplat_core::spherical_harmonics::coefficients;
 use genesplat_core::{Gaussians, ScreenFilter, morton_order};
 
 use super::packing::half_turn_about_x;
@@ -86,7 +86,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     }
     let is_antialiased = header.flags & FLAG_ANTIALIASED != 0;
     let screen_filter = Some(if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic });
-    Ok(Decoded { cloud, sh_degree: header.sh_degree.min(SH_DEGREE_MAX), screen_filter, is_2dgs: false })
+    Ok(Decoded { cloud, sh_degree: header.sh_degree, screen_filter, is_2dgs: false })
 }
 
 pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
