@@ -47,7 +47,7 @@ pub fn splat(format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
 
 /// What a file of this format holds.
 pub fn written(format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
-    format::to_bytes(NAME.as_ref(), format, cloud, options)
+    format::to_bytes(NAME.as_ref(), format, cloud, options, &())
 }
 
 /// A cloud of points as PLY.

@@ -5,6 +5,7 @@ use std::sync::{Mutex, OnceLock};
 
 use anyhow::Result;
 use genesplat_io::LoadProgress;
+use genesplat_io::format::WriteProgress;
 
 /// Somebody who hears what a run says: a terminal, a notebook, a log.
 pub trait Tell: Send + Sync {
@@ -138,6 +139,24 @@ impl LoadProgress for LoadBar {
     fn photo_done(&self) {
         if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
             *done += 1;
+            bar.set(*done, String::new);
+        }
+    }
+}
+
+/// How much of a splat is written.
+#[derive(Default)]
+pub struct WriteBar(Mutex<Option<(u64, Bar)>>);
+
+impl WriteProgress for WriteBar {
+    fn start(&self, parts: usize) {
+        *self.0.lock().expect("no thread panics while it holds this") =
+            Some((0, Bar::fleeting("written", 0, parts as u64)));
+    }
+
+    fn done(&self, parts: usize) {
+        if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
+            *done += parts as u64;
             bar.set(*done, String::new);
         }
     }
