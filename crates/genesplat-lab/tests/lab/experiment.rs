@@ -290,7 +290,8 @@ fn a_table_mixes_no_runs_of_different_scenes_or_settings() {
 
 /// The checkpoint of a run that has stopped because it found nothing left to train.
 fn stopped_checkpoint(scene: &Path, out: &Path) -> PathBuf {
-    let more = ["--iterations", "6000", "--steps-scale", "0.01", "--checkpoint-every", "5", "--config"];
+    let more =
+        ["--iterations", "6000", "--steps-scale", "0.01", "--checkpoint-every", "5", "--anyway", "--config"];
     let config = out.with_extension("toml");
     let method = "method = { name = \"3dgs\", densify_every = 2, reset_every = 30, prune_size = 1e-9 }";
     fs::write(&config, method).unwrap();
