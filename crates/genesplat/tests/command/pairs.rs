@@ -109,7 +109,7 @@ fn shuffled(folder: &Path) -> Option<PathBuf> {
     names.sort();
     let photos = folder.join("photos");
     for (index, name) in names.iter().take(PHOTOS).enumerate() {
-        let photo = resize(&read_photo(name).unwrap(), 240, 160);
+        let photo = resize(&read_photo(name).unwrap(), 210, 140);
         // 154 = 2 * 7 * 11, so that multiples of 37 come to each place.
         write_png(&photos.join(format!("photo {:03}.png", index * 37 % PHOTOS)), &photo).unwrap();
     }
