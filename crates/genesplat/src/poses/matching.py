@@ -14,7 +14,7 @@ import pycolmap
 # COLMAP tries points at random. With one seed, two searches differ only by the order in which threads get done with photos.
 SEED = 0
 # Features that tell which photos look alike.
-TELLING = 128
+TELLING = 200
 # Each photo is matched with so many that look most alike, ...
 ALIKE = 25
 # ... with so many that were taken nearest, where all tell where, ...

@@ -2,12 +2,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 
 use genesplat::io::photos::{read_photo, resize, write_png};
 use serde_json::Value;
 
-use crate::poses::said;
+use crate::poses::{said, small_photos, with_python};
 use crate::support::{command, json, number, python_with, real_data, text};
 
 /// The functions that choose, and photos with planted features: each shares its own 30 with the next photo of a round, and
@@ -109,18 +109,25 @@ fn shuffled(folder: &Path) -> Option<PathBuf> {
     names.sort();
     let photos = folder.join("photos");
     for (index, name) in names.iter().take(PHOTOS).enumerate() {
-        let photo = resize(&read_photo(name).unwrap(), 240, 160);
+        let photo = resize(&read_photo(name).unwrap(), 210, 140);
         // 154 = 2 * 7 * 11, so that multiples of 37 come to each place.
         write_png(&photos.join(format!("photo {:03}.png", index * 37 % PHOTOS)), &photo).unwrap();
     }
     Some(photos)
 }
 
-/// What `query` counts in a database that nobody has opened.
-fn counted(python: &Path, database: &Path, query: &str) -> f64 {
-    let script =
-        "import sqlite3, sys; print(sqlite3.connect(sys.argv[1]).execute(sys.argv[2]).fetchone()[0])";
-    let ran = Command::new(python).args(["-c", script, text(database), query]).output().unwrap();
+/// What a script says whose arguments follow; it fails where the script does.
+fn told(python: &Path, script: &str, arguments: &[&str]) -> Output {
+    let ran = Command::new(python).args(["-c", script]).args(arguments).output().unwrap();
+    assert!(ran.status.success(), "{}", said(&ran));
+    ran
+}
+
+/// What statements change in a database that nobody has opened, and what the last counts there.
+fn counted(python: &Path, database: &Path, statements: &[&str]) -> f64 {
+    let script = "import sqlite3, sys\nwith sqlite3.connect(sys.argv[1]) as database:\n  \
+                  for statement in sys.argv[2:]: found = database.execute(statement).fetchone()\nprint(found[0])";
+    let ran = told(python, script, &[&[text(database)], statements].concat());
     String::from_utf8_lossy(&ran.stdout).trim().parse().unwrap_or_else(|_| panic!("{}", said(&ran)))
 }
 
@@ -141,12 +148,93 @@ fn many_photos_get_cameras_whatever_their_names() {
     let (compared, of) = (&summary["compared"], number(&summary["compared"]["of"]));
     assert_eq!((of, &compared["chosen_by"]), (154.0 * 153.0 / 2.0, &serde_json::json!(["looks"])));
     let pairs = number(&compared["pairs"]);
-    assert_eq!(pairs, counted(&python, &database, "SELECT COUNT(*) FROM matches"));
+    assert_eq!(pairs, counted(&python, &database, &["SELECT COUNT(*) FROM matches"]));
     assert!(
         pairs < of / 3.0 && said(&poses).contains("of 11,781 pairs of photos, chosen by looks"),
         "{}",
         said(&poses)
     );
-    let named = counted(&python, &database, "SELECT COUNT(*) FROM images WHERE name LIKE 'photo ___.png'");
-    assert_eq!((named, counted(&python, &database, "SELECT COUNT(*) FROM cameras")), (154.0, 1.0));
+    let named = ["SELECT COUNT(*) FROM images WHERE name LIKE 'photo ___.png'"];
+    assert_eq!(counted(&python, &database, &named), 154.0, "names of the list of pairs stay in the database");
+}
+
+/// As where the pairs that were chosen do not tell where a photo belongs.
+#[test]
+fn photos_without_a_camera_are_tried_again_with_all_that_have_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let found = folder.path().join("scene");
+    let poses = || with_python(&python, &["poses", text(&photos), "--out", text(&found)]);
+    let first = poses();
+    assert!(first.status.success(), "{}", said(&first));
+    let (summary, database) = (found.join("poses/summary.json"), found.join("poses/database.db"));
+    let registered = number(&json(&summary)["registered"]);
+    // A pair is the smaller number times 2147483647 and the larger one.
+    let of_photo =
+        "(SELECT image_id FROM images WHERE name = '05.png') IN (pair_id / 2147483647, pair_id % 2147483647)";
+    let forget =
+        ["matches", "two_view_geometries"].map(|table| format!("DELETE FROM {table} WHERE {of_photo}"));
+    let [matches, geometries] = forget.each_ref().map(String::as_str);
+    let left = counted(&python, &database, &[matches, geometries, "SELECT COUNT(*) FROM matches"]);
+    assert_eq!(left, 66.0 - 11.0);
+    fs::remove_file(&summary).unwrap();
+    let again = poses();
+    assert!(again.status.success(), "{}", said(&again));
+    assert!(said(&again).contains("no camera so far"), "{}", said(&again));
+    let summary = json(&summary);
+    assert_eq!(number(&summary["registered"]), registered, "{summary}");
+    assert_eq!(summary["compared"]["left_out_with_all"], true, "{summary}");
+    assert!(number(&summary["compared"]["pairs"]) >= left + registered - 1.0, "{summary}");
+}
+
+/// COLMAP begins another camera each time that it is started.
+#[test]
+fn a_search_goes_on_with_the_camera_that_it_began_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let found = folder.path().join("scene");
+    let database = found.join("poses/database.db");
+    fs::create_dir_all(found.join("poses")).unwrap();
+    let begin = "import pycolmap, sys\npycolmap.extract_features(*sys.argv[1:], image_names=['03.png', '04.png'], \
+                 camera_mode=pycolmap.CameraMode.SINGLE, device=pycolmap.Device.cpu)";
+    told(&python, begin, &[text(&database), text(&photos)]);
+    let poses = with_python(&python, &["poses", text(&photos), "--out", text(&found)]);
+    assert!(poses.status.success(), "{}", said(&poses));
+    assert_eq!(counted(&python, &database, &["SELECT COUNT(*) FROM cameras"]), 1.0);
+    assert!(said(&poses).contains("compared all 66 pairs of photos"), "{}", said(&poses));
+}
+
+/// COLMAP stops at the first scale at which it has enough.
+#[test]
+fn features_are_bounded_and_the_largest_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let script = format!(
+        "{}\n{}\n{}",
+        include_str!("../../src/poses/pairs.py"),
+        include_str!("../../src/poses/matching.py"),
+        r"
+import sys
+path, scales = sys.argv[1], np.random.default_rng(5).permutation(50).astype(np.float32)
+keypoints = np.stack([scales + 0.5, scales, scales, 0 * scales, 0 * scales, scales], axis=1)
+descriptors = np.repeat(scales.astype(np.uint8)[:, None], 128, axis=1)
+with sqlite3.connect(path) as database:
+    for table, values in ('keypoints', keypoints), ('descriptors', descriptors):
+        database.execute(f'CREATE TABLE {table} (image_id, rows, cols, data)')
+        for photo, count in (1, 50), (2, 20):
+            row = [photo, count, values.shape[1], values[:count].tobytes()]
+            database.execute(f'INSERT INTO {table} VALUES (?, ?, ?, ?)', row)
+database.close()
+bound_features(path, 20)
+with sqlite3.connect(path) as database:
+    assert all(rows == 20 for (rows,) in database.execute('SELECT rows FROM keypoints UNION SELECT rows FROM descriptors'))
+    kept = of_photo(database, 'keypoints', 1)
+    assert sorted(kept[:, 1]) == list(range(30, 50)), kept
+    assert (of_photo(database, 'descriptors', 1)[:, 0] == kept[:, 1]).all()
+    assert (of_photo(database, 'keypoints', 2) == keypoints[:20]).all()
+"
+    );
+    told(&python, &script, &[text(&folder.path().join("database.db"))]);
 }
