@@ -126,38 +126,47 @@ impl Bar {
     }
 }
 
-/// How many photos of a scene are loaded.
+/// A bar that many threads move, once they know of how many pieces.
 #[derive(Default)]
-pub struct LoadBar(Mutex<Option<(u64, Bar)>>);
+struct Counted(Mutex<Option<(u64, Bar)>>);
 
-impl LoadProgress for LoadBar {
-    fn start(&self, photos: usize) {
-        *self.0.lock().expect("no thread panics while it holds this") =
-            Some((0, Bar::new("photos", photos as u64)));
+impl Counted {
+    fn start(&self, bar: Bar) {
+        *self.0.lock().expect("no thread panics while it holds this") = Some((0, bar));
     }
 
-    fn photo_done(&self) {
+    fn add(&self, pieces: usize) {
         if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
-            *done += 1;
+            *done += pieces as u64;
             bar.set(*done, String::new);
         }
     }
 }
 
+/// How many photos of a scene are loaded.
+#[derive(Default)]
+pub struct LoadBar(Counted);
+
+impl LoadProgress for LoadBar {
+    fn start(&self, photos: usize) {
+        self.0.start(Bar::new("photos", photos as u64));
+    }
+
+    fn photo_done(&self) {
+        self.0.add(1);
+    }
+}
+
 /// How much of a splat is written.
 #[derive(Default)]
-pub struct WriteBar(Mutex<Option<(u64, Bar)>>);
+pub struct WriteBar(Counted);
 
 impl WriteProgress for WriteBar {
     fn start(&self, parts: usize) {
-        *self.0.lock().expect("no thread panics while it holds this") =
-            Some((0, Bar::fleeting("written", 0, parts as u64)));
+        self.0.start(Bar::fleeting("written", 0, parts as u64));
     }
 
     fn done(&self, parts: usize) {
-        if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
-            *done += parts as u64;
-            bar.set(*done, String::new);
-        }
+        self.0.add(parts);
     }
 }

@@ -100,12 +100,12 @@ pub struct Loaded {
     pub cloud: Gaussians,
     /// What the file is.
     pub format: Format,
-    /// Highest degree of the spherical harmonics that the file holds, 0 to 3.
+    /// Highest degree of the spherical harmonics that were read, 0 to 3.
     pub sh_degree: u8,
+    /// Highest degree in the file; those above 3 are left out.
+    pub sh_degree_in_file: u8,
     /// How a viewer should filter; `None` where the file does not say.
     pub screen_filter: Option<ScreenFilter>,
-    /// The same before those above 3 were left out.
-    pub sh_degree_in_file: u8,
     /// The file holds flat Gaussians (2DGS); here they are 1e-6 world units thick.
     pub is_2dgs: bool,
 }

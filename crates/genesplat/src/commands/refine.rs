@@ -7,8 +7,10 @@ use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter, View};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
+use genesplat::metrics::{Evaluation, psnr_of_mean};
 use genesplat::run::device::Device;
 use genesplat::run::numbers::thousands;
+use genesplat::run::output::WriteBar;
 use genesplat::run::photos;
 use genesplat::run::reporter::Reporter;
 use genesplat::run::score::evaluate_all;
@@ -44,9 +46,9 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let stop = interrupt::stop_flag();
     let mut device = device::open(args.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
-    print_scores("before", &mut device, &scene, &splat.settings)?;
+    let before = print_scores("before", &mut device, &scene, &splat.settings)?;
     if !args.anyway && !is_own {
-        check_shows(&mut device, &scene, &splat.settings, &args.splat)?;
+        check_shows(&before, &scene, &args.splat)?;
     }
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
     let outcome: Outcome = if schedule.config().genetic.is_some() {
@@ -56,7 +58,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     };
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
     let format = files::format_of(&args.out)?;
-    format::write(&args.out, format, &outcome.cloud, &options)?;
+    format::write_told(&args.out, format, &outcome.cloud, &options, &WriteBar::default())?;
     splat::tell_losses(format, &outcome.cloud, splat.settings.filter);
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;
@@ -120,47 +122,36 @@ fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
 }
 
 /// Fails where a splat shows most photos worse than the mean colour of each would: it is one of another scene,
-/// or in another frame.
-fn check_shows(device: &mut Device, scene: &Scene, settings: &RenderSettings, path: &Path) -> Result<()> {
-    let views = &scene.train[..scene.train.len().min(VIEWS_COMPARED)];
-    let scores = evaluate_all(device, views, settings, None)?;
-    let mut misses = 0;
-    for (view, score) in views.iter().zip(&scores.views) {
-        misses += usize::from(score.psnr < psnr_of_mean(view)?);
+/// or in another frame. `scores` are those of all training photos.
+fn check_shows(scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
+    let every = scene.train.len().div_ceil(VIEWS_COMPARED).max(1);
+    let mut is_missed = Vec::new();
+    for (view, score) in scene.train.iter().zip(&scores.views).step_by(every) {
+        is_missed.push(score.psnr < psnr_of_mean(view.mask.as_deref(), view.photo.read()?.as_ref())?);
     }
+    let (misses, all) = (is_missed.iter().filter(|missed| **missed).count(), is_missed.len());
     ensure!(
-        2 * misses < views.len(),
-        "{} shows {misses} of {} photos of {} worse than one colour for each photo would, so it is a splat of another scene or in \
+        2 * misses < all,
+        "{} shows {misses} of {all} photos of {} worse than one colour for each photo would, so it is a splat of another scene or in \
          other axes; give the --data that it was trained on, or go on with --anyway",
         shown(path),
-        views.len(),
         shown(&scene.name)
     );
     Ok(())
 }
 
-/// PSNR of the mean colour of what counts of a photo, dB.
-fn psnr_of_mean(view: &View) -> Result<f64> {
-    let photo = view.photo.read()?;
-    let counts = |pixel: usize| view.mask.as_ref().is_none_or(|mask| mask.counts[pixel]);
-    let mut sums = [[0.0; 3]; 2];
-    let pixels = photo.rgb.chunks_exact(3).enumerate().filter(|(pixel, _)| counts(*pixel));
-    for (_, rgb) in pixels {
-        for (channel, &level) in rgb.iter().enumerate() {
-            let level = f64::from(level) / 255.0;
-            sums[0][channel] += level;
-            sums[1][channel] += level * level;
-        }
-    }
-    let count = view.counted_pixels() as f64;
-    let variances = [0, 1, 2].map(|channel| sums[1][channel] / count - (sums[0][channel] / count).powi(2));
-    Ok(-10.0 * (variances.iter().sum::<f64>() / 3.0).max(1e-10).log10())
-}
-
-fn print_scores(when: &str, device: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {
-    for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
+/// Returns the scores of the training photos.
+fn print_scores(
+    when: &str,
+    device: &mut Device,
+    scene: &Scene,
+    settings: &RenderSettings,
+) -> Result<Evaluation> {
+    let mut print = |name, views: &[View]| -> Result<Evaluation> {
         let scores = evaluate_all(device, views, settings, None)?;
         output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
-    }
-    Ok(())
+        Ok(scores)
+    };
+    print("test", &scene.test)?;
+    print("train", &scene.train)
 }
