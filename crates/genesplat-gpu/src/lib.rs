@@ -11,7 +11,7 @@ mod stages;
 mod state;
 
 pub use backend::GpuBackend;
-pub use device::adapter::{AdapterReport, adapters, check_best};
+pub use device::adapter::{AdapterReport, adapters, check};
 pub use device::shaders::kernel_sources;
 pub use stages::traffic::Work;
 

@@ -28,7 +28,8 @@ use crate::device::probe::subgroup_width;
 /// Largest relative L2 distance between the twins, by stage. Both are f32, so this is rounding; what is
 /// sorted or counted must be equal.
 const TOLERANCES: [(&str, f64); 11] = [
-    ("project", 1e-5),
+    // Drivers round exp2 and inverseSqrt as they like: NVIDIA's are 1.7e-5 away.
+    ("project", 2e-5),
     // Blending multiplies hundreds of rounded factors; a pixel exactly at alpha = 1/255 may flip.
     ("rasterise", 1e-5),
     ("loss", 1e-5),

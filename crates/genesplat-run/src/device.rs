@@ -1,10 +1,12 @@
 //! Where the numbers are crunched: what a user may ask for, and what that comes to on this machine.
 
+use std::fmt;
+use std::str::FromStr;
 use std::sync::OnceLock;
 
 use anyhow::{Result, anyhow, bail};
 use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update};
-use genesplat_gpu::{AdapterReport, GpuBackend, adapters, check_best};
+use genesplat_gpu::{AdapterReport, GpuBackend, adapters, check};
 use genesplat_kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +17,7 @@ pub type Device = Box<dyn genesplat_core::Device>;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(try_from = "String", into = "String")]
 pub enum DeviceChoice {
     /// The graphics card if this machine has one that can be used, else the processor.
     #[default]
@@ -24,16 +26,63 @@ pub enum DeviceChoice {
     Cpu,
     /// The best graphics device with a Vulkan, Metal or DX12 driver, even one in software.
     Gpu,
+    /// The graphics device of this number, as `genesplat devices` counts them.
+    GpuAt(u8),
+}
+
+/// As flags and files call it.
+impl fmt::Display for DeviceChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Cpu => f.write_str("cpu"),
+            Self::Gpu => f.write_str("gpu"),
+            Self::GpuAt(place) => write!(f, "gpu:{place}"),
+        }
+    }
+}
+
+impl From<DeviceChoice> for String {
+    fn from(choice: DeviceChoice) -> Self {
+        choice.to_string()
+    }
+}
+
+impl FromStr for DeviceChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbered = || text.strip_prefix("gpu:")?.parse().ok().map(Self::GpuAt);
+        match text {
+            "auto" => Ok(Self::Auto),
+            "cpu" => Ok(Self::Cpu),
+            "gpu" => Ok(Self::Gpu),
+            _ => numbered().ok_or_else(|| {
+                format!(
+                    "{text} is no device: auto, cpu, gpu or gpu:N, where N is as `genesplat devices` counts"
+                )
+            }),
+        }
+    }
+}
+
+impl TryFrom<String> for DeviceChoice {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
 }
 
 impl DeviceChoice {
-    /// As flags and files call it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Cpu => "cpu",
-            Self::Gpu => "gpu",
-        }
+    /// Whether a graphics device is asked for.
+    pub fn is_graphics(self) -> bool {
+        matches!(self, Self::Gpu | Self::GpuAt(_))
+    }
+
+    /// The place of the graphics device that is asked for; `None` is the best.
+    fn place(self) -> Option<usize> {
+        if let Self::GpuAt(place) = self { Some(place.into()) } else { None }
     }
 
     /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is
@@ -44,6 +93,7 @@ impl DeviceChoice {
             Self::Auto => Ok(if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }),
             Self::Gpu if graphics().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
             Self::Gpu => bail!("{}; use --device cpu", why_none(graphics())),
+            Self::GpuAt(place) => usable(place, graphics()).map(|_| self),
         }
     }
 }
@@ -53,11 +103,27 @@ pub fn graphics() -> &'static [AdapterReport] {
     output::without_drivers(adapters)
 }
 
+/// The device of this place, if it can be used.
+fn usable(place: u8, adapters: &[AdapterReport]) -> Result<&AdapterReport> {
+    let adapter = adapters.get(usize::from(place)).ok_or_else(|| {
+        anyhow!(
+            "there is no graphics device gpu:{place} on this machine; `genesplat devices` lists what there is"
+        )
+    })?;
+    if let Some(reason) = &adapter.unusable {
+        bail!(
+            "gpu:{place}, {}, cannot be used: it {reason}; choose another of `genesplat devices`",
+            adapter.name
+        );
+    }
+    Ok(adapter)
+}
+
 /// What `auto` comes to. A driver may refuse what it has promised, so the device is opened once to see.
 fn auto_choice() -> &'static Result<(), String> {
     static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
     CHOICE.get_or_init(|| {
-        let opened = || output::without_drivers(check_best).map_err(|error| error.to_string());
+        let opened = || output::without_drivers(|| check(None)).map_err(|error| error.to_string());
         let chosen = auto_adapter(graphics()).and_then(|adapter| opened().map(|()| adapter));
         match &chosen {
             Ok(adapter) => output::note(&format!(
@@ -119,8 +185,10 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 /// Opens the device that is meant.
 pub fn open(choice: DeviceChoice) -> Result<Device> {
     match choice.resolve()? {
-        DeviceChoice::Gpu => Ok(Box::new(output::without_drivers(GpuBackend::new)?)),
-        DeviceChoice::Cpu | DeviceChoice::Auto => Ok(Box::new(CpuBackend::new())),
+        device if device.is_graphics() => {
+            Ok(Box::new(output::without_drivers(|| GpuBackend::at(device.place()))?))
+        }
+        _ => Ok(Box::new(CpuBackend::new())),
     }
 }
 
@@ -169,6 +237,25 @@ mod tests {
             subgroups: true,
             unusable: unusable.map(str::to_owned),
         }
+    }
+
+    #[test]
+    fn a_device_is_called_as_it_is_written() {
+        for text in ["auto", "cpu", "gpu", "gpu:0", "gpu:12"] {
+            assert_eq!(text.parse::<DeviceChoice>().map(String::from), Ok(text.to_owned()));
+        }
+        for wrong in ["", "GPU", "gpu:", "gpu:-1", "gpu:256", "gpu:1:2", "cuda"] {
+            assert!(wrong.parse::<DeviceChoice>().unwrap_err().contains("gpu:N"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_device_is_taken_by_its_place() {
+        let adapters =
+            [adapter("card", "discrete", None), adapter("small", "discrete", Some("has too few bytes"))];
+        assert_eq!(usable(0, &adapters).unwrap().name, "card");
+        assert!(usable(1, &adapters).unwrap_err().to_string().contains("it has too few bytes"));
+        assert!(usable(2, &adapters).unwrap_err().to_string().contains("no graphics device gpu:2"));
     }
 
     #[test]

@@ -310,7 +310,7 @@ impl ConfigFile {
         }
         let (there, here) = (self.device.unwrap_or_default(), settings.device);
         if there != here {
-            return Some(format!("device is {} there and {} here", there.name(), here.name()));
+            return Some(format!("device is {} there and {} here", there, here));
         }
         first_difference(
             &result_settings(&self.dataset, &self.train),

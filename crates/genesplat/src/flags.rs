@@ -125,27 +125,14 @@ impl SizeArgs {
     }
 }
 
-/// `--device`.
-const DEVICES: &[Choice<DeviceChoice>] = &[
-    (
-        DeviceChoice::Auto,
-        &["auto"],
-        "The graphics card if this machine has one that can be used, else the processor",
-    ),
-    (DeviceChoice::Cpu, &["cpu"], "All cores of the processor"),
-    (
-        DeviceChoice::Gpu,
-        &["gpu"],
-        "The best graphics device with a Vulkan, Metal or DX12 driver, even one in software",
-    ),
-];
-
 /// Which machine power to use.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct MachineArgs {
-    /// Where to compute; results do not depend on the number of threads, but may on the kind of device
-    /// [default: auto]
-    #[arg(long, value_name = "DEVICE", value_parser = choice(DEVICES))]
+    /// Where to compute: auto (the graphics card if this machine has one that can be used, else the
+    /// processor), cpu (all its cores), gpu (the best device with a Vulkan, Metal or DX12 driver, even one in
+    /// software), or gpu:N (the one that `genesplat devices` gives this number). Results do not depend on the
+    /// number of threads, but may on the kind of device [default: auto]
+    #[arg(long, value_name = "DEVICE")]
     device: Option<DeviceChoice>,
     /// What other trainers call `--device gpu`.
     #[arg(long, hide = true, conflicts_with = "device")]
@@ -172,16 +159,4 @@ impl From<MachineArgs> for Machine {
 pub fn scale(text: &str) -> Result<f64, String> {
     let valid = |scale: &f64| (1e-3..=1e3).contains(scale);
     text.parse().ok().filter(valid).ok_or_else(|| "a number between 0.001 and 1000 is needed".into())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn devices_are_named_as_in_files() {
-        for (device, names, _) in DEVICES {
-            assert_eq!(device.name(), names[0]);
-        }
-    }
 }

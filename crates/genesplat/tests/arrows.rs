@@ -168,6 +168,32 @@ fn a_look_over_a_wall_is_found() {
     assert_eq!(over_the_wall(code, &["clap"]), None);
 }
 
+/// Files of WGSL, as `folder/name`, that a table does not list.
+fn unlisted_shaders(table: &str) -> Vec<String> {
+    let list = |folder: &Path| -> Vec<PathBuf> {
+        std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("readable").path()).collect()
+    };
+    let folder = root().join("crates/genesplat-gpu/shader");
+    let files: Vec<PathBuf> = list(&folder).iter().flat_map(|folder| list(folder)).collect();
+    assert!(files.len() > 50, "{} files", files.len());
+    let names = files.iter().map(|file| {
+        file.strip_prefix(&folder).expect("below it").with_extension("").to_str().expect("UTF-8").to_owned()
+    });
+    names
+        .filter(|name| {
+            ![format!("\"{name}\""), format!("\"{name}.wgsl\"")].iter().any(|entry| table.contains(entry))
+        })
+        .collect()
+}
+
+#[test]
+fn every_shader_is_in_the_table() {
+    let table = root().join("crates/genesplat-gpu/src/device/shaders.rs");
+    let table = std::fs::read_to_string(table).expect("the table");
+    assert_eq!(unlisted_shaders(&table), [""; 0]);
+    assert_eq!(unlisted_shaders(&table.replace("bin/project\"", "\"")), ["bin/project"]);
+}
+
 /// Paths in backquotes, with a folder and a known ending.
 fn named_paths(text: &str) -> Vec<String> {
     text.split('`')

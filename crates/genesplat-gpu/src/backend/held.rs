@@ -73,7 +73,12 @@ pub struct GpuBackend {
 impl GpuBackend {
     /// An empty backend on the best device of this machine.
     pub fn new() -> Result<Self> {
-        let engine = Engine::new()?;
+        Self::at(None)
+    }
+
+    /// The same on the device of this place in [`crate::adapters`].
+    pub fn at(place: Option<usize>) -> Result<Self> {
+        let engine = Engine::at(place)?;
         let is_right = !engine.abilities.subgroups || sorts_right(&engine)?;
         Self::on(if is_right { engine } else { engine.without_subgroups() })
     }

@@ -85,7 +85,21 @@ fn kind(kind: DeviceType) -> (u32, &'static str) {
     }
 }
 
-pub(crate) fn best() -> Result<&'static Adapter> {
+/// The device of this place in [`adapters`], or the best that can be used.
+pub(crate) fn chosen(place: Option<usize>) -> Result<&'static Adapter> {
+    let Some(place) = place else { return best() };
+    let adapter = found().get(place).ok_or_else(|| BackendError::Unsupported(none_there(place)))?;
+    match unmet(&adapter.limits()) {
+        None => Ok(adapter),
+        Some(reason) => Err(BackendError::Unsupported(format!("{} {reason}", adapter.get_info().name))),
+    }
+}
+
+fn none_there(place: usize) -> String {
+    format!("there is no graphics device {place} on this machine, which has {}", found().len())
+}
+
+fn best() -> Result<&'static Adapter> {
     let mut reasons = Vec::new();
     for adapter in found() {
         match unmet(&adapter.limits()) {
@@ -135,9 +149,10 @@ fn unmet(limits: &Limits) -> Option<String> {
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// Opens the best usable device, and closes it again: a driver may refuse what it has promised.
-pub fn check_best() -> Result<()> {
-    Engine::new().map(drop)
+/// Opens a device ([`adapters`] counts them; `None` is the best), and closes it again: a driver may refuse what
+/// it has promised.
+pub fn check(place: Option<usize>) -> Result<()> {
+    Engine::at(place).map(drop)
 }
 
 #[cfg(test)]
@@ -163,6 +178,12 @@ mod tests {
     fn drivers_are_asked_once() {
         assert!(std::ptr::eq(found(), found()) && std::ptr::eq(adapters(), adapters()));
         assert_eq!(adapters().len(), found().len());
+    }
+
+    #[test]
+    fn a_place_without_a_device_is_refused() {
+        let error = chosen(Some(found().len())).expect_err("no device is there").to_string();
+        assert!(error.contains(&format!("no graphics device {}", found().len())), "{error}");
     }
 
     #[test]

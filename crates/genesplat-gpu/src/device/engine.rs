@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use genesplat_core::BackendError;
 use wgpu::{
-    BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device,
+    Adapter, BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device,
     DeviceDescriptor, DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue,
     ShaderModuleDescriptor, ShaderSource,
 };
@@ -54,6 +54,9 @@ pub(crate) struct Kernel {
 pub(crate) struct Engine {
     pub(crate) device: Device,
     pub(crate) queue: Queue,
+    /// Runs on the processor.
+    #[cfg(test)]
+    pub(crate) is_software: bool,
     /// Name and programming interface, for the log.
     pub(crate) name: String,
     /// Largest part of a buffer that a kernel can see, bytes.
@@ -90,12 +93,16 @@ struct Failures {
 
 impl Engine {
     pub(crate) fn new() -> Result<Self> {
-        Self::open(WORKGROUP_BYTES)
+        Self::at(None)
     }
 
-    /// The best device, with workgroup memory of so many bytes if it has them.
-    pub(crate) fn open(most_workgroup_bytes: u32) -> Result<Self> {
-        let adapter = adapter::best()?;
+    /// The device of this place, or the best.
+    pub(crate) fn at(place: Option<usize>) -> Result<Self> {
+        Self::open(adapter::chosen(place)?, WORKGROUP_BYTES)
+    }
+
+    /// A device, with workgroup memory of so many bytes if it has them.
+    pub(crate) fn open(adapter: &Adapter, most_workgroup_bytes: u32) -> Result<Self> {
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
         let features = adapter.features() & (Features::TIMESTAMP_QUERY | Features::SUBGROUP);
@@ -124,6 +131,8 @@ impl Engine {
                 _ => INTEGRATED_INSTRUCTIONS,
             },
             failures: watch(&device),
+            #[cfg(test)]
+            is_software: info.device_type == DeviceType::Cpu,
             device,
             queue,
             name,

@@ -181,8 +181,6 @@ pub(crate) fn kernel_texts(abilities: Abilities) -> impl Iterator<Item = (&'stat
 
 #[cfg(test)]
 mod tests {
-    use std::path::{Path, PathBuf};
-
     use naga::AddressSpace;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
 
@@ -248,24 +246,6 @@ mod tests {
     fn a_planted_error_is_found() {
         let source = PROJECT.source(PLAIN).replace("window.count", "window.length");
         assert!(naga::front::wgsl::parse_str(&source).is_err());
-    }
-
-    #[test]
-    fn every_file_is_in_the_table() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shader");
-        let text: String = ALL
-            .iter()
-            .flat_map(|shader| [true, false].map(|subgroups| shader.text(Abilities { subgroups, ..PLAIN })))
-            .collect();
-        let list = |folder: &Path| -> Vec<PathBuf> {
-            std::fs::read_dir(folder).unwrap().map(|file| file.unwrap().path()).collect()
-        };
-        let files: Vec<PathBuf> = list(&folder).iter().flat_map(|folder| list(folder)).collect();
-        assert!(files.len() >= ALL.len());
-        for path in files {
-            let source = std::fs::read_to_string(&path).expect("UTF-8");
-            assert!(text.contains(&source), "{} is in no shader", path.display());
-        }
     }
 
     #[test]

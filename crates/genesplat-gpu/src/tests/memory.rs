@@ -8,7 +8,7 @@ use genesplat_core::{BackendError, Held, Origin, RowEdit, SparseDelta};
 use super::evolution::map_of;
 use super::verbs::{change_rows, split_long_axes, ten_steps, twins_agree};
 use super::*;
-use crate::device::adapter::WORKGROUP_BYTES_MIN;
+use crate::device::adapter::{WORKGROUP_BYTES_MIN, chosen};
 
 /// A device whose workgroups have 16 KiB reduces splats by four instead of eight, in the same order.
 #[test]
@@ -36,7 +36,7 @@ fn little_workgroup_memory_changes_no_bit() {
 /// Whatever a kernel needs beyond 16 KiB is refused here.
 fn little_engine() -> Option<Engine> {
     engine()?;
-    let engine = Engine::open(WORKGROUP_BYTES_MIN).unwrap();
+    let engine = Engine::open(chosen(None).unwrap(), WORKGROUP_BYTES_MIN).unwrap();
     assert_eq!(engine.device.limits().max_compute_workgroup_storage_size, WORKGROUP_BYTES_MIN);
     Some(engine)
 }

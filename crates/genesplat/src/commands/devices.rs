@@ -7,7 +7,14 @@ use genesplat::kernels::cpu::CpuBackend;
 use genesplat::run::device;
 use genesplat::terminal::output;
 
-pub(crate) fn run() -> Result<()> {
+use crate::args::DevicesArgs;
+
+use super::device_test;
+
+pub(crate) fn run(args: &DevicesArgs) -> Result<()> {
+    if args.test {
+        return device_test::run(args.device);
+    }
     output::print(&format!("cpu  {}", CpuBackend::new().describe()))?;
     let adapters = device::graphics();
     if adapters.is_empty() {
@@ -15,25 +22,25 @@ pub(crate) fn run() -> Result<()> {
     }
     let chosen = adapters.iter().position(|adapter| adapter.unusable.is_none());
     for (at, adapter) in adapters.iter().enumerate() {
-        output::print(&describe(adapter, chosen == Some(at)))?;
+        output::print(&describe(at, adapter, chosen == Some(at)))?;
     }
     Ok(())
 }
 
-/// One device; is it the first that can be used?
-fn describe(adapter: &AdapterReport, is_first: bool) -> String {
+/// The device of this place; is it the first that can be used?
+fn describe(place: usize, adapter: &AdapterReport, is_first: bool) -> String {
     let AdapterReport { name, kind, api, driver, binding_bytes, buffer_bytes, workgroup_bytes, .. } = adapter;
     let mib = |bytes: u64| bytes >> 20;
     let clock = if adapter.timestamps { "can time its stages" } else { "cannot time its stages" };
     let subgroups = if adapter.subgroups { "has subgroups" } else { "has no subgroups" };
     let use_of_it = match &adapter.unusable {
         Some(reason) => format!("cannot be used: {reason}"),
-        None if !is_first => "not used: one above comes first".into(),
+        None if !is_first => format!("used by --device gpu:{place} only: one above comes first"),
         None if adapter.is_software() => "used by --device gpu only: the CPU backend is faster".into(),
         None => "used by --device auto and gpu".into(),
     };
     format!(
-        "gpu  {name}: {kind}, {api}, {driver}\n     {use_of_it}\n     a kernel sees {} MiB of a buffer of up to {} \
+        "gpu:{place}  {name}: {kind}, {api}, {driver}\n     {use_of_it}\n     a kernel sees {} MiB of a buffer of up to {} \
          MiB; {} KiB a workgroup; {subgroups}; {clock}",
         mib(*binding_bytes),
         mib(*buffer_bytes),
@@ -65,11 +72,11 @@ mod tests {
         let card = adapter("card", "discrete", None);
         let software = adapter("soft", "software", None);
         let small = adapter("small", "discrete", Some("has too few bytes"));
-        assert!(describe(&card, true).contains("used by --device auto and gpu"));
-        assert!(describe(&software, true).contains("used by --device gpu only"));
+        assert!(describe(0, &card, true).contains("used by --device auto and gpu"));
+        assert!(describe(0, &software, true).contains("used by --device gpu only"));
         for other in [&card, &software] {
-            assert!(describe(other, false).contains("not used"));
+            assert!(describe(1, other, false).contains("used by --device gpu:1 only"));
         }
-        assert!(describe(&small, false).contains("cannot be used: has too few bytes"));
+        assert!(describe(1, &small, false).contains("cannot be used: has too few bytes"));
     }
 }

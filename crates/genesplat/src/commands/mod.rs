@@ -2,6 +2,7 @@
 
 mod convert;
 mod demo;
+mod device_test;
 mod devices;
 mod evaluate;
 mod evaluate_pictures;
@@ -43,7 +44,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Merge(args) => merge::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Export(args) => export::run(&args),
-        Command::Devices => devices::run(),
+        Command::Devices(args) => devices::run(&args),
         Command::Man(ManArgs { completions: Some(shell), .. }) => shell::completions(shell),
         Command::Man(args) => shell::man(args.command.as_deref()),
     }
@@ -88,7 +89,7 @@ fn check_outputs(command: &Command) -> Result<()> {
         | Command::Demo(_)
         | Command::View(_)
         | Command::Split(_)
-        | Command::Devices
+        | Command::Devices(_)
         | Command::Man(_) => Ok(()),
     }
 }

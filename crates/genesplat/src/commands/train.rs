@@ -132,7 +132,7 @@ fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
     );
     ensure!(args.page.address().is_none(), "a run under mpirun has no live page; leave --view out");
     ensure!(
-        args.machine.device() != Some(DeviceChoice::Gpu),
+        !args.machine.device().is_some_and(DeviceChoice::is_graphics),
         "ranks of mpirun train on processors; leave --device gpu out"
     );
     ensure!(

@@ -355,6 +355,9 @@ fn a_device_that_is_not_there() {
     let out = folder.path().join("run");
     let arguments = ["train", text(scene()), "--out", text(&out), "--device", "gpu"];
     judge_failure(without_drivers(arguments).output().unwrap(), &["no graphics device", "--device cpu"]);
+    let numbered = ["train", text(scene()), "--out", text(&out), "--device", "gpu:7"];
+    judge_failure(without_drivers(numbered).output().unwrap(), &["gpu:7", "genesplat devices"]);
+    judge_failure(without_drivers(["devices", "--test"]).output().unwrap(), &["no graphics device"]);
 }
 
 #[test]
@@ -374,6 +377,9 @@ fn wrong_usage_has_status_2() {
         &["train", "x", "--out", "y", "--test-every", "3", "--train-on-all"],
         &["render", "x", "--data", "y", "--out", "z"],
         &["evaluate", "x", "--data", "y", "--background", "random"],
+        &["devices", "--test", "--device", "cpu"],
+        &["devices", "--device", "gpu"],
+        &["train", "x", "--out", "y", "--device", "gpu:x"],
         &["nonsense"],
     ] {
         assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");

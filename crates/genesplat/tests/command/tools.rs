@@ -397,6 +397,18 @@ fn devices_are_listed_without_errors_that_are_none() {
 }
 
 #[test]
+fn a_device_is_compared_with_the_cpu() {
+    if !succeed(["devices"]).contains("gpu:0 ") {
+        assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has a graphics device");
+        eprintln!("skipped: no graphics device");
+        return;
+    }
+    let said = succeed(["devices", "--test", "--device", "gpu:0"]);
+    assert_eq!(said.matches("as the CPU").count(), 9, "{said}");
+    assert!(said.contains("the same bits twice") && said.contains("all is well"), "{said}");
+}
+
+#[test]
 fn shells_and_man_are_told_of_every_command() {
     for (shell, sign) in
         [("bash", "complete -F"), ("zsh", "#compdef genesplat"), ("fish", "complete -c genesplat")]
