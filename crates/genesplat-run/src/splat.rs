@@ -7,6 +7,7 @@ use genesplat_core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat_io::format::{self, Format, Loaded};
 use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, SceneDigests, command_line, list_scene, shown};
 use genesplat_train::Background;
+use glam::DVec3;
 
 use crate::inputs::{Inputs, notice_changes};
 use crate::output;
@@ -78,9 +79,23 @@ impl Splat {
         })
     }
 
+    /// What the cameras in `data`, or of the run's own scene, have as up on average, of length 1; `None`
+    /// where there are none.
+    pub fn up(&self, data: Option<&Path>, asked: &PhotosAsked) -> Result<Option<DVec3>> {
+        let own = || self.trained_on.as_ref().map(|dataset| &*dataset.path).filter(|path| path.is_dir());
+        let Some(data) = data.or_else(own) else { return Ok(None) };
+        let listed = list_scene(data, &self.options(data, asked)?)?;
+        let up = listed.photos.iter().map(|photo| -photo.camera.rotation().row(1)).sum::<DVec3>();
+        Ok(up.try_normalize())
+    }
+
+    fn options(&self, data: &Path, asked: &PhotosAsked) -> Result<LoadOptions> {
+        Ok(LoadOptions { with_points: false, ..self.dataset(data, asked)?.0.options() })
+    }
+
     /// The name of the view in `data` that is called `name`.
     pub fn view_name(&self, name: &str, data: &Path, asked: &PhotosAsked) -> Result<String> {
-        let options = LoadOptions { with_points: false, ..self.dataset(data, asked)?.0.options() };
+        let options = self.options(data, asked)?;
         Ok(list_scene(data, &options)?.view_name(name, data)?.to_owned())
     }
 

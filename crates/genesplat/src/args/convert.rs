@@ -7,6 +7,7 @@ use genesplat::flags::{MachineArgs, choice};
 use genesplat::io::format::SpzVersion;
 
 use super::choice::SPZ_VERSIONS;
+use super::placement::PlacementArgs;
 use super::{PhotosArgs, ShownOnArgs, fraction};
 
 /// What says nothing where no photos are loaded.
@@ -35,6 +36,8 @@ pub(crate) struct ConvertArgs {
     /// there is]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
     pub(crate) sh_degree: Option<u8>,
+    #[command(flatten)]
+    pub(crate) placement: PlacementArgs,
     /// Version of .spz to write [default: 4]
     #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
     pub(crate) spz_version: Option<SpzVersion>,

@@ -18,6 +18,7 @@ mod choice;
 mod convert;
 mod page;
 mod photos;
+mod placement;
 mod poses;
 #[cfg(test)]
 mod tests;

@@ -5,11 +5,12 @@ use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, memory};
+use genesplat::core::{Gaussians, RenderSettings, Similarity, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
-use genesplat::io::{plural, shown};
+use genesplat::io::{Scene, plural, shown};
 use genesplat::run::CLOUD;
+use genesplat::run::device::Device;
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::WriteBar;
 use genesplat::run::photos::check_test_photos;
@@ -17,10 +18,11 @@ use genesplat::run::score::evaluate_all;
 use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
+use glam::DVec3;
 
 use crate::args::ConvertArgs;
 
-/// Reads, cleans, cuts, writes, and says what that cost.
+/// Reads, cleans, cuts, places, writes, and says what that cost.
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let format = files::format_of(&args.out)?;
@@ -42,7 +44,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         );
     }
     say_size("read from", &args.splat, in_file)?;
-    let cloud = cut(&splat.cloud, args)?;
+    let mut cloud = cut(&splat.cloud, args)?;
+    let placed = args.placement.similarity(up(&splat, args)?);
+    placed.apply(&mut cloud);
     let options = Options {
         screen_filter: splat.settings.filter,
         sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
@@ -52,19 +56,36 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
-    let Some(scene) = scene else { return Ok(()) };
+    scene.map_or(Ok(()), |scene| say_loss(&scene, splat, &placed, args))
+}
 
-    let background = splat.settings.background;
+/// What is up in the splat; only asked for where it counts.
+fn up(splat: &Splat, args: &ConvertArgs) -> Result<DVec3> {
+    if args.placement.up.is_none() {
+        return Ok(DVec3::NEG_Y);
+    }
+    let found = splat.up(args.data.as_deref(), &args.photos.asked()?)?;
+    let [x, y, z] = found.unwrap_or(DVec3::NEG_Y).to_array();
+    let of = if found.is_some() { "by the cameras" } else { "as files have it" };
+    output::tell(&format!("up was {x:.2} {y:.2} {z:.2}, {of}"));
+    Ok(DVec3::new(x, y, z))
+}
+
+/// Renders the splat before, and what was written after, where it was before it was placed.
+fn say_loss(scene: &Scene, splat: Splat, placed: &Similarity, args: &ConvertArgs) -> Result<()> {
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
-    let mut score = |when: &str, mut splat: Splat| {
-        splat.settings.background = background;
-        backend.upload(splat.cloud.into())?;
-        let scores = evaluate_all(&mut backend, &scene.test, &splat.settings, None)?;
+    let score = |backend: &mut Device, when: &str, settings: &RenderSettings| {
+        let scores = evaluate_all(backend, &scene.test, settings, None)?;
         output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
         anyhow::Ok(scores.psnr)
     };
-    let before = score("before", splat)?;
-    let after = score("after", splat::open(&args.out)?)?;
+    backend.upload(splat.cloud.into())?;
+    let before = score(&mut backend, "before", &splat.settings)?;
+    let mut written = splat::open(&args.out)?;
+    placed.inverse().apply(&mut written.cloud);
+    backend.upload(written.cloud.into())?;
+    let background = splat.settings.background;
+    let after = score(&mut backend, "after", &RenderSettings { background, ..written.settings })?;
     output::print(&format!("lost   {:.2} dB", before - after))
 }
 
