@@ -38,6 +38,10 @@ pub(crate) struct ConvertArgs {
     pub(crate) sh_degree: Option<u8>,
     #[command(flatten)]
     pub(crate) placement: PlacementArgs,
+    /// Give back the coordinates of the survey, in double precision: what was subtracted from them, since they
+    /// are far from their origin, is added again. For .ply, which alone has double precision
+    #[arg(long, conflicts_with_all = ["up", "rotate", "scale", "translate"])]
+    pub(crate) georeferenced: bool,
     /// Version of .spz to write [default: 4]
     #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
     pub(crate) spz_version: Option<SpzVersion>,

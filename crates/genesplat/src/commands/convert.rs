@@ -8,7 +8,7 @@ use genesplat::core::gaussians::sigmoid;
 use genesplat::core::{Gaussians, RenderSettings, Similarity, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
-use genesplat::io::{Scene, plural, shown};
+use genesplat::io::{Offset, Scene, offset, plural, shown};
 use genesplat::run::CLOUD;
 use genesplat::run::device::Device;
 use genesplat::run::numbers::thousands;
@@ -18,7 +18,7 @@ use genesplat::run::score::evaluate_all;
 use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use crate::args::ConvertArgs;
 
@@ -31,7 +31,17 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         "--spz-version is for .spz, and {} is none; leave it out",
         shown(&args.out)
     );
+    ensure!(
+        !args.georeferenced || format == Format::Ply,
+        "--georeferenced is for .ply, which alone has coordinates in double precision, and {} is none; give another OUT",
+        shown(&args.out)
+    );
     let mut splat = splat::open_unchecked(&args.splat)?.on(args.on.background);
+    ensure!(
+        !args.georeferenced || splat.offset.is_some(),
+        "{} has no offset, so its coordinates are those of its source already; leave --georeferenced out",
+        shown(&args.splat)
+    );
     let in_file = splat.cloud.len();
     splat.cloud = clean(splat.cloud, &args.splat)?;
     let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos.asked()?)).transpose()?;
@@ -47,16 +57,29 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let mut cloud = cut(&splat.cloud, args)?;
     let placed = args.placement.similarity(up(&splat, args)?);
     placed.apply(&mut cloud);
+    let offset = offset_after(&splat, &placed);
     let options = Options {
         screen_filter: splat.settings.filter,
         sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
         spz_version: args.spz_version.unwrap_or_default(),
+        offset: offset.filter(|_| args.georeferenced),
     };
     format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
+    splat::write_offset(&args.out, offset.filter(|_| !args.georeferenced))?;
+    tell_coarse(splat.step, &splat.cloud, &args.splat);
+    if !args.georeferenced {
+        tell_coarse(format::step(format, &cloud), &cloud, &args.out);
+    }
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
-    scene.map_or(Ok(()), |scene| say_loss(&scene, splat, &placed, args))
+    scene.map_or(Ok(()), |scene| say_loss(&scene, splat, &placed, offset, args))
+}
+
+fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
+    if let Some(coarse) = splat::coarse_steps(step, cloud) {
+        output::tell(&format!("notice: {}: {coarse}", shown(file)));
+    }
 }
 
 /// What is up in the splat; only asked for where it counts.
@@ -71,8 +94,26 @@ fn up(splat: &Splat, args: &ConvertArgs) -> Result<DVec3> {
     Ok(DVec3::new(x, y, z))
 }
 
+/// What has been subtracted from the coordinates of the splat once it is placed. One that is turned or scaled
+/// is in other axes or units.
+fn offset_after(splat: &Splat, placed: &Similarity) -> Option<Offset> {
+    let by = splat.offset?;
+    if placed.scale == 1.0 && placed.rotation == DQuat::IDENTITY {
+        return Some((DVec3::from(by) - placed.translation).to_array());
+    }
+    let by = offset::in_words(by);
+    output::tell(&format!("notice: the offset {by} is of the axes before the turn, and is not kept"));
+    None
+}
+
 /// Renders the splat before, and what was written after, where it was before it was placed.
-fn say_loss(scene: &Scene, splat: Splat, placed: &Similarity, args: &ConvertArgs) -> Result<()> {
+fn say_loss(
+    scene: &Scene,
+    splat: Splat,
+    placed: &Similarity,
+    offset: Option<Offset>,
+    args: &ConvertArgs,
+) -> Result<()> {
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let score = |backend: &mut Device, when: &str, settings: &RenderSettings| {
         let scores = evaluate_all(backend, &scene.test, settings, None)?;
@@ -82,6 +123,9 @@ fn say_loss(scene: &Scene, splat: Splat, placed: &Similarity, args: &ConvertArgs
     backend.upload(splat.cloud.into())?;
     let before = score(&mut backend, "before", &splat.settings)?;
     let mut written = splat::open(&args.out)?;
+    // What is far from its origin is moved anew when it is read.
+    let moved = DVec3::from(written.offset.unwrap_or_default()) - DVec3::from(offset.unwrap_or_default());
+    Similarity { translation: moved, ..Similarity::default() }.apply(&mut written.cloud);
     placed.inverse().apply(&mut written.cloud);
     backend.upload(written.cloud.into())?;
     let background = splat.settings.background;

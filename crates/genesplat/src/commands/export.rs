@@ -27,11 +27,12 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
-    let settings = splat.settings;
+    let (settings, offset) = (splat.settings, splat.offset);
     let options = Options {
         screen_filter: settings.filter,
         sh_degree: settings.sh_degree,
         spz_version: SpzVersion::V3,
+        offset: None,
     };
     let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options, &WriteBar::default())?;
     let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
@@ -49,6 +50,7 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
         Standalone { title: &title, spz: &spz, gaussians, settings: &settings, framing, shots: &shots }
             .html();
     files::write_file(&args.out, |out| out.write_all(page.as_bytes()))?;
+    splat::write_offset(&args.out, offset)?;
     let (count, views) = (thousands(gaussians), shots.len());
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
     let cameras = plural(views, "camera", "cameras");
