@@ -1,6 +1,7 @@
 //! Scenes, as the command loads them.
 
 use std::collections::HashSet;
+use std::num::NonZeroUsize;
 use std::path::Path;
 
 use anyhow::{Result, bail};
@@ -48,6 +49,17 @@ pub(crate) fn load_to_look(
 ) -> Result<Scene> {
     let options = LoadOptions { divisor, offset, with_points: false, ..dataset.options() };
     told(read(&dataset.path, background, options))
+}
+
+/// The same of at most so many photos, without notices.
+pub(crate) fn load_sample(
+    dataset: &Dataset,
+    background: [f32; 3],
+    offset: Option<Offset>,
+    most: NonZeroUsize,
+) -> Result<Scene> {
+    let options = LoadOptions { sample: Some(most), offset, with_points: false, ..dataset.options() };
+    read(&dataset.path, background, options)
 }
 
 /// Why to train on a scene makes no sense.

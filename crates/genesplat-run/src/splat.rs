@@ -1,7 +1,9 @@
 //! Finished splats, from a file or from the folder of a run.
 
+use std::fmt::Display;
 use std::fs;
 use std::io::Write;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
@@ -83,6 +85,21 @@ impl Splat {
             .into_iter()
             .for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
         Ok(scene)
+    }
+
+    /// At most so many photos of the run's own scene, as it was trained on them; `None` for a file, and, with
+    /// a notice, where they are not to be had.
+    pub fn sample_scene(&self, most: NonZeroUsize) -> Option<Scene> {
+        let dataset = self.trained_on.as_ref()?;
+        let gone = |why: &dyn Display| {
+            output::tell(&format!("notice: what is lost is not measured, since {why}"));
+        };
+        if !dataset.path.exists() {
+            gone(&format!("the scene of the run, {}, is not there; give --data SCENE", shown(&dataset.path)));
+            return None;
+        }
+        let sampled = scene::load_sample(dataset, self.settings.background, self.frame(), most);
+        sampled.map_err(|error| gone(&error)).ok()
     }
 
     /// Whether it is that of a run which began with a photo of this scene.

@@ -201,7 +201,7 @@ pub fn read_unchecked(path: &Path) -> Result<Loaded, FormatError> {
 }
 
 /// The splat in the `bytes` of `path`, which are of this `format`.
-pub(crate) fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
+pub fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
     checked(path, finished(format, decode_bytes(path, format, bytes)?))
 }
 

@@ -15,6 +15,7 @@ mod view;
 
 use std::fs;
 use std::io::ErrorKind;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use genesplat_core::View;
@@ -90,6 +91,9 @@ pub struct LoadOptions {
     pub image_folder: PathBuf,
     /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
     pub with_points: bool,
+    /// Only so many photos, at even distances: held-out ones, or training photos where none are held out.
+    /// `None`: all of them.
+    pub sample: Option<NonZeroUsize>,
     /// What shall have been subtracted from all coordinates, world units; `None`: nothing, or, where the scene
     /// is far from its origin, what brings it there.
     pub offset: Option<Offset>,
@@ -120,6 +124,7 @@ impl Default for LoadOptions {
             near: None,
             image_folder: "images".into(),
             with_points: true,
+            sample: None,
             offset: None,
             seed: 0,
             spill: None,
@@ -166,7 +171,7 @@ pub fn load_scene(
     let listing = list(path, options)?;
     let files = |photo: &ListedPhoto| std::iter::once(photo.path.clone()).chain(photo.mask.clone());
     let photos = listing.photos.iter().flat_map(files).collect();
-    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let (mut train, mut test) = split::split(listing.photos, &options.hold_out, path)?;
     if train.is_empty() {
         let problem = format!(
             "has not enough photos: {0}, of which {0} would be held out for testing and none is left to train on; \
@@ -175,10 +180,13 @@ pub fn load_scene(
         );
         return Err(SceneError::invalid(path, problem));
     }
+    if let Some(most) = options.sample {
+        (train, test) = split::sample(train, test, most);
+    }
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
     let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
-    if train.is_empty() {
+    if train.is_empty() && options.sample.is_none() {
         return Err(SceneError::invalid(
             path,
             "has masks that hide all of its training photos; masks are black where a \

@@ -45,8 +45,8 @@ pub(crate) struct ConvertArgs {
     /// Version of .spz to write [default: 4]
     #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
     pub(crate) spz_version: Option<SpzVersion>,
-    /// Folder of the scene that the splat shows: say what is lost, in dB, on the photos that training never
-    /// saw [default: none]
+    /// Folder of the scene that the splat shows: say what is lost, in dB, on all photos that training never
+    /// saw [default: eight of them of the RUN, if its scene is still there; none for a SPLAT]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]

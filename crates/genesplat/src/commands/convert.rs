@@ -20,6 +20,7 @@ use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
 use glam::{DQuat, DVec3};
 
+use super::loss::{PHOTOS, Sample};
 use crate::args::ConvertArgs;
 
 /// Reads, cleans, cuts, places, writes, and says what that cost.
@@ -44,15 +45,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     );
     let in_file = splat.cloud.len();
     splat.cloud = clean(splat.cloud, &args.splat)?;
-    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos.asked()?)).transpose()?;
-    if let Some(scene) = &scene {
-        check_test_photos(&args.splat, scene)?;
-        ensure!(
-            !scene.test.is_empty(),
-            "{} has no test photos to measure a loss on; leave --data out",
-            scene.name
-        );
-    }
+    let photos = photos(&splat, format, args)?;
     say_size("read from", &args.splat, in_file)?;
     let mut cloud = cut(&splat.cloud, args)?;
     let placed = args.placement.similarity(up(&splat, args)?);
@@ -73,7 +66,33 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
-    scene.map_or(Ok(()), |scene| say_loss(&scene, splat, &placed, offset, args))
+    photos.map_or(Ok(()), |photos| say_loss(&photos, splat, &placed, offset, args))
+}
+
+/// What a loss is measured on.
+enum Photos {
+    /// All that are asked for.
+    Asked(Scene),
+    /// Some of a run's.
+    Sampled(Sample),
+}
+
+/// The photos of the scene that is named, or some of the run's, where something can be lost.
+fn photos(splat: &Splat, format: Format, args: &ConvertArgs) -> Result<Option<Photos>> {
+    let Some(data) = &args.data else {
+        let is_copy = format == Format::Ply && args.crop.is_none() && args.prune.is_none();
+        let is_whole = args.sh_degree.is_none_or(|degree| degree >= splat.settings.sh_degree);
+        let scene = if is_copy && is_whole { None } else { splat.sample_scene(PHOTOS) };
+        return Ok(scene.as_ref().and_then(Sample::of).map(Photos::Sampled));
+    };
+    let scene = splat.load_scene(data, &args.photos.asked()?)?;
+    check_test_photos(&args.splat, &scene)?;
+    ensure!(
+        !scene.test.is_empty(),
+        "{} has no test photos to measure a loss on; leave --data out",
+        scene.name
+    );
+    Ok(Some(Photos::Asked(scene)))
 }
 
 fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
@@ -108,29 +127,40 @@ fn offset_after(splat: &Splat, placed: &Similarity) -> Option<Offset> {
 
 /// Renders the splat before, and what was written after, where it was before it was placed.
 fn say_loss(
-    scene: &Scene,
+    photos: &Photos,
     splat: Splat,
     placed: &Similarity,
     offset: Option<Offset>,
     args: &ConvertArgs,
 ) -> Result<()> {
+    let settings = splat.settings;
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
-    let score = |backend: &mut Device, when: &str, settings: &RenderSettings| {
-        let scores = evaluate_all(backend, &scene.test, settings, None)?;
-        output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
-        anyhow::Ok(scores.psnr)
-    };
     backend.upload(splat.cloud.into())?;
-    let before = score(&mut backend, "before", &splat.settings)?;
+    let before = score(photos, &mut backend, "before", &settings)?;
     let mut written = splat::open(&args.out)?;
     // What is far from its origin is moved anew when it is read.
     let moved = DVec3::from(written.offset.unwrap_or_default()) - DVec3::from(offset.unwrap_or_default());
     Similarity { translation: moved, ..Similarity::default() }.apply(&mut written.cloud);
     placed.inverse().apply(&mut written.cloud);
     backend.upload(written.cloud.into())?;
-    let background = splat.settings.background;
-    let after = score(&mut backend, "after", &RenderSettings { background, ..written.settings })?;
-    output::print(&format!("lost   {:.2} dB", before - after))
+    let shown = RenderSettings { background: settings.background, ..written.settings };
+    let after = score(photos, &mut backend, "after", &shown)?;
+    match photos {
+        Photos::Asked(_) => output::print(&format!("lost   {:.2} dB", before - after)),
+        Photos::Sampled(sample) => sample.tell(before, after),
+    }
+}
+
+/// PSNR of what the device holds, dB.
+fn score(photos: &Photos, backend: &mut Device, when: &str, settings: &RenderSettings) -> Result<f64> {
+    match photos {
+        Photos::Asked(scene) => {
+            let scores = evaluate_all(backend, &scene.test, settings, None)?;
+            output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
+            Ok(scores.psnr)
+        }
+        Photos::Sampled(sample) => sample.psnr(backend, settings),
+    }
 }
 
 /// The Gaussians that can be shown; a notice counts the others.

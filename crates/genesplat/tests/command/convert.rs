@@ -73,6 +73,35 @@ fn a_run_becomes_every_format_and_each_is_measured_and_refined() {
     }
 }
 
+/// Nobody asks, and the photos of the run are there.
+#[test]
+fn what_a_run_loses_is_said_by_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let run_folder = finished_run();
+    let lost = |said: &str| said.lines().find(|line| line.starts_with("lost")).map(str::to_owned);
+    let spz = folder.path().join("a.spz");
+    let line = lost(&succeed(["convert", text(&run_folder), text(&spz)])).unwrap();
+    assert!(line.contains("photos that training never saw: "), "{line}");
+    let before = psnr(&run_folder, scene());
+    assert!(line.contains(&format!("{before:.2} before, {:.2} after", psnr(&spz, scene()))), "{line}");
+    let page = succeed(["export", text(&run_folder), "--out", text(&folder.path().join("a.html"))]);
+    assert!(lost(&page).unwrap().contains(&format!("{before:.2} before")), "{page}");
+    // A copy loses nothing, and a file does not say which photos it shows.
+    let ply = folder.path().join("a.ply");
+    assert_eq!(lost(&succeed(["convert", text(&run_folder), text(&ply)])), None);
+    assert_eq!(lost(&succeed(["convert", text(&ply), text(&spz)])), None);
+    // Where the scene has gone, a sentence says so.
+    let (moved, copied) = (folder.path().join("scene"), folder.path().join("run"));
+    copy_scene(&moved);
+    succeed(train(&moved, &copied, &["--iterations", "3", "--no-lpips"]));
+    std::fs::remove_dir_all(&moved).unwrap();
+    let output = run(["convert", text(&copied), text(&spz)]);
+    let notice = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && notice.contains("what is lost is not measured"), "{notice}");
+    assert!(notice.contains("is not there; give --data SCENE"), "{notice}");
+    assert_eq!(lost(&String::from_utf8(output.stdout).unwrap()), None);
+}
+
 /// The scene with cameras that are turned, scaled and moved.
 fn write_moved(folder: &Path, by: &Similarity) {
     copy_scene(folder);
@@ -111,8 +140,7 @@ fn a_splat_is_turned_scaled_and_moved_with_its_colours() {
     assert!(psnr(&plain, &moved) < before - 0.02, "{before}");
     // The loss is measured where the splat was.
     let spz = place("turned.spz");
-    let data = ["--data", text(scene())];
-    let said = succeed(["convert", text(&run_folder), text(&spz)].iter().chain(&words).chain(&data));
+    let said = succeed(["convert", text(&run_folder), text(&spz)].iter().chain(&words));
     assert!(figure(&said, "lost", 1).abs() < 0.05, "{said}");
 }
 
