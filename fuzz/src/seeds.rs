@@ -95,6 +95,7 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "message" => vec![LOOK.into(), r#"{"type":"pause"}"#.into()],
         "request" => vec![REQUEST.into()],
         "camera-path" => vec![PATH.into()],
+        "offset" => vec![br#"{"about":"a","offset":[431250.5,5412345,-3e2]}"#.to_vec()],
         other => panic!("{other} has no seeds"),
     }
 }

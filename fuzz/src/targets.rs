@@ -23,7 +23,7 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 28] = [
+pub(crate) const ALL: [(&str, Target); 29] = [
     ("archive", archive),
     ("archive-names", |bytes| archive(&wrap::empty_entries(bytes.split(|byte| *byte == b'\n')))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
@@ -44,6 +44,7 @@ pub(crate) const ALL: [(&str, Target); 28] = [
     ("sog", |bytes| splat(Format::Sog, bytes)),
     ("sog-inside", |bytes| splat(Format::Sog, &wrap::zip(&SOG_PARTS, bytes))),
     ("glb", |bytes| splat(Format::Glb, bytes)),
+    ("offset", offset),
     ("values", values),
     ("config", config),
     ("checkpoint", |bytes| checkpoint(&wrap::checkpoint(bytes))),
@@ -117,6 +118,18 @@ fn splat(format: Format, bytes: &[u8]) {
     assert_eq!(again.len(), read.cloud.len());
     let is_exact = format == Format::Ply;
     assert!(!is_exact || is_same(&again, &read.cloud), "every bit is kept");
+    if is_exact {
+        let far = Options { offset: Some([431_250.5, 5_412_345.25, -300.0]), ..options };
+        let file = bytes::written(format, &read.cloud, &far).expect("it was written without an offset");
+        let again = said(bytes::splat(format, &file));
+        assert!(again.is_none_or(|again| again.cloud.len() == read.cloud.len()));
+    }
+}
+
+/// What is believed is written so that it is read again.
+fn offset(bytes: &[u8]) {
+    let Some(offset) = said(bytes::offset(bytes)) else { return };
+    assert_eq!(bytes::offset(genesplat_io::offset::to_json(offset).as_bytes()), Ok(offset));
 }
 
 /// Whatever numbers a cloud holds: without what cannot be shown, every format takes it or says why not, and

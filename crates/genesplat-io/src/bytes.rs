@@ -9,6 +9,7 @@ use genesplat_core::{Camera, Gaussians, Photo};
 use crate::archive::{self, ArchiveError};
 use crate::colmap::{self, Form, ImageRecord, Intrinsics};
 use crate::format::{self, Format, FormatError, Loaded, Options};
+use crate::offset::{self, Offset};
 use crate::photos::{self, EncodedPhoto, PhotoError};
 use crate::ply;
 use crate::scene::Point;
@@ -32,7 +33,7 @@ pub fn images(form: Form, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> 
 
 /// COLMAP's points.
 pub fn points(form: Form, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
-    Ok(colmap::parse_points(form, NAME.as_ref(), bytes)?.records)
+    Ok(colmap::parse_points(form, NAME.as_ref(), bytes, Offset::default())?.records)
 }
 
 /// A `transforms.json`.
@@ -50,9 +51,14 @@ pub fn written(format: Format, cloud: &Gaussians, options: &Options) -> Result<V
     format::to_bytes(NAME.as_ref(), format, cloud, options, &())
 }
 
+/// The file beside a splat that holds its offset; the error is a clause.
+pub fn offset(bytes: &[u8]) -> Result<Offset, String> {
+    offset::parse(bytes)
+}
+
 /// A cloud of points as PLY.
 pub fn point_cloud(bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
-    Ok(ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64)?.records)
+    Ok(ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64, Offset::default())?.records)
 }
 
 /// The files that a zip archive unpacks to, and how many bytes each has.

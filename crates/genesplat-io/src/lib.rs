@@ -15,6 +15,7 @@ pub mod format;
 pub mod input;
 mod listing;
 pub mod names;
+pub mod offset;
 pub mod own;
 pub mod photos;
 pub mod ply;
@@ -27,6 +28,7 @@ mod visited;
 pub use digest::Digest;
 pub use error::SceneError;
 pub use format::{Format, FormatError};
+pub use offset::Offset;
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{

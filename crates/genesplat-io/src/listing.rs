@@ -14,6 +14,7 @@ use glam::DVec3;
 use crate::alike::difference;
 use crate::digest::Digest;
 use crate::error::SceneError;
+use crate::offset::Offset;
 use crate::photos::{Lens, PhotoError};
 use crate::scene::{Cube, Doubt, Point, mask_beside};
 use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
@@ -34,6 +35,36 @@ pub(crate) struct Listing {
     pub(crate) notices: Vec<String>,
     /// Why to train on it makes no sense.
     pub(crate) doubts: Vec<Doubt>,
+    /// Where cameras and points lie.
+    pub(crate) moved: Moved,
+}
+
+/// What is asked for beside photos.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wanted {
+    pub(crate) points: bool,
+    pub(crate) masks: bool,
+    pub(crate) frame: Frame,
+}
+
+/// Where a scene shall lie.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frame {
+    /// What shall have been subtracted from the coordinates of its source; `None`: what is found.
+    pub(crate) asked: Option<Offset>,
+    /// What has been subtracted from those of its files already, as the scene itself says.
+    pub(crate) already: Option<Offset>,
+}
+
+/// Where a scene lies.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Moved {
+    /// What has been subtracted from the coordinates of its files.
+    pub(crate) by: Offset,
+    /// The same of its source.
+    pub(crate) offset: Option<Offset>,
+    /// Nobody has asked for it.
+    pub(crate) is_found: bool,
 }
 
 /// A photo that exists and is not decoded yet.

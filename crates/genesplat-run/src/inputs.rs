@@ -8,7 +8,7 @@ use std::io::{BufReader, ErrorKind};
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
-use genesplat_io::{PhotoDigests, Scene, SceneDigests, input, shown};
+use genesplat_io::{Offset, PhotoDigests, Scene, SceneDigests, input, shown};
 use genesplat_train::Checkpoint;
 use serde::{Deserialize, Serialize};
 
@@ -69,6 +69,13 @@ impl Inputs {
             )
         })
     }
+}
+
+/// What the scene of the run in `folder` was moved by when it began: nothing, for one that says what it began
+/// with, and not this. `None` where that is not known.
+pub fn offset(folder: &Path) -> Option<Offset> {
+    let inputs = Inputs::read(folder).ok().flatten()?;
+    Some(inputs.scene.offset.unwrap_or_default())
 }
 
 /// What of the run in `folder` was run with other settings than these, by what it and its checkpoint say. One

@@ -57,6 +57,10 @@ pub mod training;
 pub const CONFIG: &str = "config.toml";
 /// What the run began with: settings, and digests of photos, masks, cameras and points.
 pub(crate) const INPUTS: &str = "inputs.json";
+/// What has been subtracted from the coordinates of the scene, where it is far from its origin.
+pub(crate) const OFFSET: &str = "point_cloud.ply.offset.json";
+/// The same beside [`FUSED_CLOUD`].
+pub(crate) const FUSED_OFFSET: &str = "point_cloud_fused.ply.offset.json";
 /// The figures.
 pub const METRICS: &str = "metrics.json";
 /// A line of JSON for every report.
@@ -79,7 +83,8 @@ pub(crate) const CHECKPOINTS: &str = "checkpoint";
 pub const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
-const RESULTS: [&str; 8] = [METRICS, INPUTS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];
+const RESULTS: [&str; 10] =
+    [METRICS, INPUTS, CLOUD, OFFSET, FUSED_CLOUD, FUSED_OFFSET, LOG, EVENTS, REPORT, CHECKPOINT];
 
 /// The folders of a run in which files are written whole.
 pub const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];

@@ -1,11 +1,12 @@
 //! Scenes, as the command loads them.
 
 use std::collections::HashSet;
+use std::num::NonZeroUsize;
 use std::path::Path;
 
 use anyhow::{Result, bail};
 use genesplat_core::View;
-use genesplat_io::{Doubt, LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
+use genesplat_io::{Doubt, LoadOptions, Offset, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
 use genesplat_train::scene::initialise::ColouredPoint;
 
 use crate::output;
@@ -21,9 +22,16 @@ pub const PHOTO_MEMORY: u64 = 1 << 30;
 pub const PHOTOS_MIN: usize = 10;
 
 /// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go
-/// that memory should not hold. Of its doubts, [`check_promising`] tells.
-pub fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
-    told(read(&dataset.path, background, LoadOptions { seed, spill, ..dataset.options() }))
+/// that memory should not hold, and `offset` where the scene lay when its run began, if it goes on. Of its
+/// doubts, [`check_promising`] tells.
+pub fn load(
+    dataset: &Dataset,
+    background: [f32; 3],
+    seed: u64,
+    spill: Option<Spill>,
+    offset: Option<Offset>,
+) -> Result<Scene> {
+    told(read(&dataset.path, background, LoadOptions { seed, spill, offset, ..dataset.options() }))
 }
 
 /// The same to inspect: notices are the caller's to tell.
@@ -31,10 +39,27 @@ pub fn load_to_inspect(dataset: &Dataset, seed: u64) -> Result<Scene> {
     read(&dataset.path, [0.0; 3], LoadOptions { seed, ..dataset.options() })
 }
 
-/// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`.
-pub(crate) fn load_to_look(dataset: &Dataset, divisor: u32, background: [f32; 3]) -> Result<Scene> {
-    let options = LoadOptions { divisor, with_points: false, ..dataset.options() };
+/// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`. It
+/// lies where the splat does, by this `offset`.
+pub(crate) fn load_to_look(
+    dataset: &Dataset,
+    divisor: u32,
+    background: [f32; 3],
+    offset: Option<Offset>,
+) -> Result<Scene> {
+    let options = LoadOptions { divisor, offset, with_points: false, ..dataset.options() };
     told(read(&dataset.path, background, options))
+}
+
+/// The same of at most so many photos, without notices.
+pub(crate) fn load_sample(
+    dataset: &Dataset,
+    background: [f32; 3],
+    offset: Option<Offset>,
+    most: NonZeroUsize,
+) -> Result<Scene> {
+    let options = LoadOptions { sample: Some(most), offset, with_points: false, ..dataset.options() };
+    read(&dataset.path, background, options)
 }
 
 /// Why to train on a scene makes no sense.

@@ -1,6 +1,8 @@
 //! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go
 //! on.
 
+mod splats;
+
 use std::cell::RefCell;
 use std::error::Error;
 use std::fmt;
@@ -10,19 +12,15 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat_core::{CloudRenderer, Gaussians, RowOwners, ScreenFilter};
+use genesplat_core::RowOwners;
 use genesplat_io::names::is_file_name;
-use genesplat_io::{PlyOptions, input, is_transforms, ply, shown};
+use genesplat_io::{Offset, input, is_transforms, shown};
 use genesplat_train::Checkpoint;
-use genesplat_train::checkpoint::JointWriter;
 
 use super::inputs::Inputs;
 use super::lock::{LOCK, Lock};
 use super::metrics::Metrics;
-use super::{
-    CHECKPOINT, CHECKPOINTS, CLOUD, CONFIG, FOLDERS, FUSED_CLOUD, INPUTS, METRICS, REPORT, RESULTS,
-    SNAPSHOTS, TEST,
-};
+use super::{CHECKPOINT, CHECKPOINTS, CONFIG, FOLDERS, INPUTS, METRICS, REPORT, RESULTS, TEST};
 use crate::files::{
     check_folder, check_name, check_own, make_own_folder, remove_if_there, remove_leftovers, write_own,
     write_own_json, write_own_text,
@@ -77,6 +75,8 @@ pub struct RunSession {
     config: String,
     /// What the run begins with, or goes on with: `inputs.json`, which its checkpoints hold, too.
     inputs: String,
+    /// What was subtracted from the coordinates of its scene.
+    offset: Option<Offset>,
 }
 
 impl RunSession {
@@ -110,19 +110,31 @@ impl RunSession {
             ),
             (false, _) => {}
         }
-        let (path, lock) = (path.to_owned(), lock.into());
-        Ok(Self { path, caller, resumes, writes: true, lock, config: String::new(), inputs: String::new() })
+        Ok(Self::new(path, caller, resumes, true, lock))
     }
 
     /// The folder of a run that another process writes.
     pub fn follow(path: &Path, resumes: bool) -> Self {
-        let (path, caller, lock) = (path.to_owned(), Caller::Train, None.into());
-        Self { path, caller, resumes, writes: false, lock, config: String::new(), inputs: String::new() }
+        Self::new(path, Caller::Train, resumes, false, None)
+    }
+
+    fn new(path: &Path, caller: Caller, resumes: bool, writes: bool, lock: Option<Lock>) -> Self {
+        Self {
+            path: path.to_owned(),
+            caller,
+            resumes,
+            writes,
+            lock: lock.into(),
+            config: String::new(),
+            inputs: String::new(),
+            offset: None,
+        }
     }
 
     /// Says what the run begins with, or goes on with, before it does.
     pub fn set_inputs(&mut self, inputs: &Inputs) {
         self.inputs = inputs.to_json();
+        self.offset = inputs.scene.offset;
     }
 
     /// The run begins: what an older one has left is removed, and the settings `config` are written.
@@ -198,46 +210,6 @@ impl RunSession {
     /// Whether the run goes on from its checkpoint.
     pub fn resumes(&self) -> bool {
         self.resumes
-    }
-
-    /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
-    pub(crate) fn write_cloud(
-        &self,
-        cloud: &Gaussians,
-        filter: ScreenFilter,
-        owners: &dyn RowOwners,
-    ) -> Result<()> {
-        let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
-        if cloud.filter_3d.is_some() {
-            self.write_splat(FUSED_CLOUD, &cloud.fused(), &options, owners)?;
-        }
-        self.write_splat(CLOUD, cloud, &options, owners)
-    }
-
-    fn write_splat(
-        &self,
-        name: &str,
-        cloud: &Gaussians,
-        options: &PlyOptions,
-        owners: &dyn RowOwners,
-    ) -> Result<()> {
-        self.write_together(name, |out| {
-            let mut out = JointWriter::new(out, owners);
-            let counts = out.counts(cloud.len())?;
-            out.bytes(&ply::header_bytes(counts.iter().sum(), cloud.filter_3d.is_some(), options));
-            out.rows(&counts, SPLAT_ROWS, |rows| ply::row_bytes(cloud, rows, options))?;
-            out.finish().map(drop)
-        })
-    }
-
-    /// Writes the cloud of a run under way beside its results; returns where it is.
-    pub(crate) fn write_snapshot(&self, iteration: u32, renderer: &mut CloudRenderer<'_>) -> Result<PathBuf> {
-        self.hold()?;
-        let name = Path::new(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
-        let options = PlyOptions { screen_filter: renderer.settings().filter, ..PlyOptions::default() };
-        let cloud = renderer.cloud()?;
-        write_own(&self.path, &name, |out| ply::write_to(out, &cloud, &options))?;
-        Ok(self.path.join(name))
     }
 
     pub(crate) fn write_checkpoint(&self, mut checkpoint: Checkpoint, owners: &dyn RowOwners) -> Result<()> {
@@ -378,10 +350,10 @@ fn foreign_in(path: &Path) -> Option<PathBuf> {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::Alone;
+    use genesplat_core::{Alone, Gaussians, ScreenFilter};
 
     use super::*;
-    use crate::{LOG, failure};
+    use crate::{CLOUD, LOG, SNAPSHOTS, failure};
 
     #[test]
     fn a_claim_keeps_others_out_and_makes_no_folder() {
@@ -404,6 +376,7 @@ mod tests {
             lock: None.into(),
             config: String::new(),
             inputs: String::new(),
+            offset: None,
         };
         let refused = { late }.begin("").unwrap_err().to_string();
         assert!(refused.contains("has written to"), "{refused}");

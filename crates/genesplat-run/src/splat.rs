@@ -1,13 +1,22 @@
 //! Finished splats, from a file or from the folder of a run.
 
+use std::fmt::Display;
+use std::fs;
+use std::io::Write;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
-use genesplat_core::{Gaussians, RenderSettings, ScreenFilter};
+use genesplat_core::{Gaussians, RenderSettings, ScreenFilter, median};
 use genesplat_io::format::{self, Format, Loaded};
-use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, SceneDigests, command_line, list_scene, shown};
+use genesplat_io::{
+    FormatError, LoadOptions, MaskUse, Offset, Scene, SceneDigests, SceneError, command_line, list_scene,
+    offset, shown,
+};
 use genesplat_train::Background;
+use glam::DVec3;
 
+use crate::files::{unwritable, write_file};
 use crate::inputs::{Inputs, notice_changes};
 use crate::output;
 use crate::preparing;
@@ -22,6 +31,10 @@ pub struct Splat {
     pub cloud: Gaussians,
     /// How it is rendered.
     pub settings: RenderSettings,
+    /// What has been subtracted from the coordinates of what it shows, if anything.
+    pub offset: Option<Offset>,
+    /// Median step of a coordinate in its file, world units.
+    pub step: f64,
     /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
     trained_on: Option<Dataset>,
     /// The folder of its run, and the scene that the run began with, as far as that is known.
@@ -61,13 +74,32 @@ impl Splat {
     /// The same, without a word about its doubts.
     pub fn load_scene_to_train(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
-        let scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
+        let load = |offset| scene::load_to_look(&dataset, divisor, self.settings.background, offset);
+        let scene = match load(self.frame().or(Some(Offset::default()))) {
+            Err(error) if self.frame().is_none() && is_far(&error) => load(None),
+            loaded => loaded,
+        }?;
         // Photos of another folder are asked for as such.
         let began_with = self.began_with.as_ref().filter(|_| asked.images.is_none());
         began_with
             .into_iter()
             .for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
         Ok(scene)
+    }
+
+    /// At most so many photos of the run's own scene, as it was trained on them; `None` for a file, and, with
+    /// a notice, where they are not to be had.
+    pub fn sample_scene(&self, most: NonZeroUsize) -> Option<Scene> {
+        let dataset = self.trained_on.as_ref()?;
+        let gone = |why: &dyn Display| {
+            output::tell(&format!("notice: what is lost is not measured, since {why}"));
+        };
+        if !dataset.path.exists() {
+            gone(&format!("the scene of the run, {}, is not there; give --data SCENE", shown(&dataset.path)));
+            return None;
+        }
+        let sampled = scene::load_sample(dataset, self.settings.background, self.frame(), most);
+        sampled.map_err(|error| gone(&error)).ok()
     }
 
     /// Whether it is that of a run which began with a photo of this scene.
@@ -78,9 +110,30 @@ impl Splat {
         })
     }
 
+    /// What the cameras in `data`, or of the run's own scene, have as up on average, of length 1; `None`
+    /// where there are none.
+    pub fn up(&self, data: Option<&Path>, asked: &PhotosAsked) -> Result<Option<DVec3>> {
+        let own = || self.trained_on.as_ref().map(|dataset| &*dataset.path).filter(|path| path.is_dir());
+        let Some(data) = data.or_else(own) else { return Ok(None) };
+        let listed = list_scene(data, &self.options(data, asked)?)?;
+        let up = listed.photos.iter().map(|photo| -photo.camera.rotation().row(1)).sum::<DVec3>();
+        Ok(up.try_normalize())
+    }
+
+    fn options(&self, data: &Path, asked: &PhotosAsked) -> Result<LoadOptions> {
+        let options = self.dataset(data, asked)?.0.options();
+        Ok(LoadOptions { with_points: false, offset: self.frame(), ..options })
+    }
+
+    /// Where a scene must lie for the splat to show it; `None` where that is not known: in the coordinates of
+    /// its source, or, where these are too far to be those of the splat, where it is moved to.
+    fn frame(&self) -> Option<Offset> {
+        self.offset.or(self.trained_on.as_ref().map(|_| Offset::default()))
+    }
+
     /// The name of the view in `data` that is called `name`.
     pub fn view_name(&self, name: &str, data: &Path, asked: &PhotosAsked) -> Result<String> {
-        let options = LoadOptions { with_points: false, ..self.dataset(data, asked)?.0.options() };
+        let options = self.options(data, asked)?;
         Ok(list_scene(data, &options)?.view_name(name, data)?.to_owned())
     }
 
@@ -127,6 +180,10 @@ impl Splat {
     }
 }
 
+fn is_far(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(SceneError::FarFromOrigin { .. }))
+}
+
 type Read = fn(&Path) -> Result<Loaded, FormatError>;
 
 /// Opens a splat in a file, or that of the run in a folder.
@@ -149,13 +206,15 @@ fn open_run(read: Read, folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
     check_has_cloud(folder, &config)?;
     let settings = config.train.resolve()?.render_settings();
-    let cloud = read_cloud(read, &folder.join(CLOUD))?.cloud;
+    let Loaded { cloud, step, .. } = read_cloud(read, &folder.join(CLOUD))?;
     let inputs = Inputs::read(folder).unwrap_or_else(|error| {
         output::tell(&format!("notice: {error}"));
         None
     });
-    let began_with = inputs.map(|inputs| (folder.to_owned(), inputs.scene));
-    Ok(Splat { cloud, settings, trained_on: Some(config.dataset), began_with })
+    let scene = inputs.map(|inputs| inputs.scene);
+    let offset = scene.as_ref().and_then(|scene| scene.offset);
+    let began_with = scene.map(|scene| (folder.to_owned(), scene));
+    Ok(Splat { cloud, settings, offset, step, trained_on: Some(config.dataset), began_with })
 }
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what
@@ -176,11 +235,25 @@ fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
 }
 
 fn open_file(read: Read, path: &Path) -> Result<Splat> {
-    let loaded = read_cloud(read, path)?;
+    let mut loaded = read_cloud(read, path)?;
+    loaded.move_near();
     let declared = loaded.screen_filter.unwrap_or_default();
     let filter = if loaded.cloud.filter_3d.is_some() { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: loaded.sh_degree, filter, ..RenderSettings::default() };
-    Ok(Splat { cloud: loaded.cloud, settings, trained_on: None, began_with: None })
+    let beside = offset::read_beside(path).unwrap_or_else(|error| {
+        output::tell(&format!("notice: {} cannot be used: {error}", shown(offset::file_beside(path))));
+        None
+    });
+    if let Some(by) = loaded.offset {
+        output::tell(&format!(
+            "notice: {} is far from its origin, where single precision has coarse steps, so its coordinates are taken less the \
+             offset {}",
+            shown(path),
+            offset::in_words(by)
+        ));
+    }
+    let (offset, step) = (offset::sum(beside, loaded.offset), loaded.step);
+    Ok(Splat { cloud: loaded.cloud, settings, offset, step, trained_on: None, began_with: None })
 }
 
 fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {
@@ -203,6 +276,48 @@ fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {
     }
     Ok(loaded)
 }
+
+/// Writes what was subtracted from the coordinates of the splat in `out` beside it, and says so; where it is
+/// nothing, what was written beside an earlier one is removed.
+pub fn write_offset(out: &Path, offset: Option<Offset>) -> Result<()> {
+    let beside = offset::file_beside(out);
+    let there = offset::read_beside(out);
+    let Some(by) = offset else {
+        let is_ours = matches!(there, Ok(Some(_)));
+        let removed = if is_ours { fs::remove_file(&beside) } else { Ok(()) };
+        return removed.map_err(|error| unwritable(&beside, &error));
+    };
+    ensure!(
+        there.is_ok(),
+        "{} is there already and holds no offset, and {} needs one beside it; remove it, and run the command again",
+        shown(&beside),
+        shown(out)
+    );
+    write_file(&beside, |file| file.write_all(offset::to_json(by).as_bytes()))?;
+    output::tell(&format!(
+        "notice: coordinates in {} are less the offset {}, which {} holds; `genesplat convert --georeferenced` adds it again",
+        shown(out),
+        offset::in_words(by),
+        shown(&beside)
+    ));
+    Ok(())
+}
+
+/// What to say of coordinates with such steps, where these are larger than what they place.
+pub fn coarse_steps(step: f64, cloud: &Gaussians) -> Option<String> {
+    let every = cloud.len().div_ceil(SAMPLE).max(1);
+    let longest = |row: usize| f64::from(cloud.log_scales[row].into_iter().fold(f32::MIN, f32::max).exp());
+    let size = median((0..cloud.len()).step_by(every).map(longest))?;
+    (step > size).then(|| {
+        format!(
+            "its coordinates have steps of {step:.3} world units, and half of its Gaussians are smaller than {size:.3}, so they lie \
+             on a grid; write it anew from a source in double precision"
+        )
+    })
+}
+
+/// So many Gaussians tell a size.
+const SAMPLE: usize = 1 << 14;
 
 /// What the format has no place for.
 pub fn tell_losses(format: Format, cloud: &Gaussians, filter: ScreenFilter) {

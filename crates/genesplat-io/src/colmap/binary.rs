@@ -7,6 +7,7 @@ use super::check::{self, Finite, Judged};
 use super::cursor::Cursor;
 use super::{ImageRecord, models};
 use crate::error::SceneError;
+use crate::offset::Offset;
 use crate::scene::Point;
 
 /// Least bytes of a camera: id, model, width, height, three parameters.
@@ -62,10 +63,10 @@ fn image(cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
     Ok(ImageRecord { name, camera, rotation, translation })
 }
 
-pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
+pub(super) fn points(file: &Path, bytes: &[u8], offset: Offset) -> Result<Finite<Point>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("points", POINT_BYTES)?;
-    let points = check::points(file, (0..count).map(|_| point(&mut cursor)))?;
+    let points = check::points(file, offset, (0..count).map(|_| point(&mut cursor)))?;
     cursor.end("points").map(|()| points)
 }
 

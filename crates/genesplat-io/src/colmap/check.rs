@@ -9,6 +9,7 @@ use std::path::Path;
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
 use crate::listing::{bad_pose, intrinsics_problem, lost_poses, position_problem};
+use crate::offset::{Offset, less};
 use crate::photos::Lens;
 use crate::scene::Point;
 use crate::{plural, shown};
@@ -19,6 +20,13 @@ pub(crate) struct Finite<T> {
     pub(crate) records: Vec<T>,
     /// What the user should know of the others, if there are any.
     pub(crate) notice: Option<String>,
+}
+
+impl<T> Finite<T> {
+    /// Of a file that is not there, or not wanted.
+    pub(crate) fn none() -> Self {
+        Self { records: Vec::new(), notice: None }
+    }
 }
 
 /// A camera's intrinsics, or why they cannot be: an error of the photos that have them.
@@ -84,16 +92,17 @@ fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
     }
 }
 
-/// The points of a file: position in world units, and colour.
+/// The points of a file: position in world units, less `offset`, and colour.
 pub(crate) fn points(
     file: &Path,
+    offset: Offset,
     all: impl Iterator<Item = Result<([f64; 3], [u8; 3]), SceneError>>,
 ) -> Result<Finite<Point>, SceneError> {
     let (mut records, mut lost) = (Vec::new(), 0);
     for (index, point) in all.enumerate() {
         let (position, rgb) = point?;
         match position_problem(position) {
-            None => records.push(Point { position: position.map(|v| v as f32), rgb }),
+            None => records.push(Point { position: less(position, offset), rgb }),
             Some(_) if !position.iter().all(|v| v.is_finite()) => lost += 1,
             Some(problem) => {
                 let place = index + 1;

@@ -6,13 +6,16 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
-use super::{ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_model, read_photos};
+use super::{
+    Finite, ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_photos, read_points,
+};
 use crate::error::SceneError;
 use crate::listing::{
-    Elsewhere, ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out,
-    no_photos, separate, similar_notice,
+    Elsewhere, ListedPhoto, Listing, Purpose, Wanted, absent_notice, all_missing, base_name, inside,
+    left_out, no_photos, separate, similar_notice,
 };
 use crate::photos::Lens;
+use crate::scene::precision::move_cameras;
 use crate::shown;
 use crate::similar::{self, Similar, entries};
 
@@ -45,9 +48,9 @@ impl PhotoFolder {
 pub(crate) fn list(
     folder: &ModelFolder,
     photos: &PhotoFolder,
-    with_points: bool,
+    wanted: Wanted,
 ) -> Result<Listing, SceneError> {
-    let mut model = if with_points { read_model(folder)? } else { read_photos(folder)? };
+    let mut model = read_photos(folder)?;
     model.images.iter_mut().for_each(|image| separate(&mut image.name, &photos.path));
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
@@ -71,11 +74,13 @@ pub(crate) fn list(
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
         Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None })
     };
-    let photos = photos.into_iter().map(listed).collect::<Result<_, SceneError>>()?;
-    let points_file = points_file(folder);
-    let has_points = if with_points { !model.points.is_empty() } else { has_points(&points_file) };
-    let (points, points_digest) = (model.points, None);
-    Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts })
+    let mut photos = photos.into_iter().map(listed).collect::<Result<Vec<_>, SceneError>>()?;
+    let moved = move_cameras(&mut photos, wanted.frame);
+    let points = if wanted.points { read_points(folder, moved.by)? } else { Finite::none() };
+    notices.extend(points.notice);
+    let (points, points_digest, points_file) = (points.records, None, points_file(folder));
+    let has_points = if wanted.points { !points.is_empty() } else { has_points(&points_file) };
+    Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts, moved })
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {

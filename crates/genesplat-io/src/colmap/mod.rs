@@ -24,7 +24,10 @@ pub(crate) use check::{Finite, Judged, points as finite_points};
 pub(crate) use listing::{PhotoFolder, list};
 pub use write::write_model;
 
+use glam::{DQuat, DVec3};
+
 use crate::error::SceneError;
+use crate::offset::{self, Offset};
 use crate::photos::Lens;
 use crate::scene::Point;
 use crate::similar::entries;
@@ -84,6 +87,18 @@ pub struct ImageRecord {
     pub rotation: [f64; 4],
     /// `camera_from_world`, world units.
     pub translation: [f64; 3],
+}
+
+impl ImageRecord {
+    pub(crate) fn camera_from_world(&self) -> DQuat {
+        let [w, x, y, z] = self.rotation;
+        DQuat::from_xyzw(x, y, z, w).normalize()
+    }
+
+    /// Where the camera stands, world units.
+    pub(crate) fn centre(&self) -> DVec3 {
+        self.camera_from_world().inverse() * -DVec3::from(self.translation)
+    }
 }
 
 /// The folder of a model and the form found there.
@@ -157,11 +172,27 @@ fn image_count(model: &ModelFolder) -> u64 {
 /// Reads the three files of a model. Every record is checked, and no count is believed beyond the bytes that
 /// back it.
 pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
+    read_model_less(folder, |_| Offset::default()).map(|(model, _)| model)
+}
+
+/// The same with points less an offset that brings them near the origin, and that offset.
+pub(crate) fn read_model_near(folder: &ModelFolder) -> Result<(Model, Offset), SceneError> {
+    read_model_less(folder, |model| {
+        let centres: Vec<DVec3> = model.images.iter().map(ImageRecord::centre).collect();
+        offset::of_cameras(&centres).unwrap_or_default()
+    })
+}
+
+fn read_model_less(
+    folder: &ModelFolder,
+    offset: impl FnOnce(&Model) -> Offset,
+) -> Result<(Model, Offset), SceneError> {
     let mut model = read_photos(folder)?;
-    let Finite { records, notice } = read_points(folder)?;
+    let offset = offset(&model);
+    let Finite { records, notice } = read_points(folder, offset)?;
     model.points = records;
     model.notices.extend(notice);
-    Ok(model)
+    Ok((model, offset))
 }
 
 fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
@@ -175,15 +206,16 @@ fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
     Ok(Model { cameras, images, points: Vec::new(), notices: Vec::from_iter(notice) })
 }
 
-fn read_points(folder: &ModelFolder) -> Result<Finite<Point>, SceneError> {
+/// The points less `offset`.
+fn read_points(folder: &ModelFolder, offset: Offset) -> Result<Finite<Point>, SceneError> {
     let file = points_file(folder);
     let ending = file.extension().and_then(|ending| ending.to_str());
     match ending {
         // Whoever knows the cameras from elsewhere may have none.
-        _ if !file.exists() => Ok(Finite { records: Vec::new(), notice: None }),
-        Some("ply") => ply::read_points(&file),
-        Some("bin") => parse_points(Form::Binary, &file, &read(&file)?),
-        _ => parse_points(Form::Text, &file, &read(&file)?),
+        _ if !file.exists() => Ok(Finite::none()),
+        Some("ply") => ply::read_points(&file, offset),
+        Some("bin") => parse_points(Form::Binary, &file, &read(&file)?, offset),
+        _ => parse_points(Form::Text, &file, &read(&file)?, offset),
     }
 }
 
@@ -229,11 +261,16 @@ pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Fini
     }
 }
 
-/// The points in the `bytes` of `file`.
-pub(crate) fn parse_points(form: Form, file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
+/// The points in the `bytes` of `file`, less `offset`.
+pub(crate) fn parse_points(
+    form: Form,
+    file: &Path,
+    bytes: &[u8],
+    offset: Offset,
+) -> Result<Finite<Point>, SceneError> {
     match form {
-        Form::Binary => binary::points(file, bytes),
-        Form::Text => text::points(file, &input::as_utf8(bytes)),
+        Form::Binary => binary::points(file, bytes, offset),
+        Form::Text => text::points(file, &input::as_utf8(bytes), offset),
     }
 }
 

@@ -7,6 +7,7 @@ use std::str::FromStr;
 use super::check::{self, Finite, Judged};
 use super::{ImageRecord, models};
 use crate::error::SceneError;
+use crate::offset::Offset;
 use crate::scene::Point;
 
 const CAMERA: &str = "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS";
@@ -142,9 +143,9 @@ fn rest_after(text: &str, count: usize) -> Option<&str> {
     (!rest.is_empty()).then_some(rest)
 }
 
-pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
+pub(super) fn points(file: &Path, bytes: &[u8], offset: Offset) -> Result<Finite<Point>, SceneError> {
     let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
-    check::points(file, lines.map(point))
+    check::points(file, offset, lines.map(point))
 }
 
 fn point(line: Line) -> Result<([f64; 3], [u8; 3]), SceneError> {

@@ -210,7 +210,13 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
         expected(sh, rows)?;
         sh_degree = unpack_sh(&mut cloud, sh)?;
     }
-    Ok(Decoded { cloud, sh_degree, screen_filter: screen_filter(&text.comments), is_2dgs: false })
+    Ok(Decoded {
+        cloud,
+        sh_degree,
+        screen_filter: screen_filter(&text.comments),
+        is_2dgs: false,
+        offset: None,
+    })
 }
 
 /// The bytes of every element; together they must be all that there are.

@@ -28,13 +28,14 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
-use genesplat_core::{Gaussians, ScreenFilter, memory};
+use genesplat_core::{Gaussians, ScreenFilter, median, memory};
 
 pub use error::FormatError;
 pub use spz::SpzVersion;
 
 use crate::atomic::write_atomically;
 use crate::input;
+use crate::offset::{self, Offset, less};
 use crate::ply::{self, PlyError, PlyHeader, PlyOptions, check_finite, read_ply_with_header, write_ply};
 
 /// A file format of splats.
@@ -108,10 +109,27 @@ pub struct Loaded {
     pub screen_filter: Option<ScreenFilter>,
     /// The file holds flat Gaussians (2DGS); here they are 1e-6 world units thick.
     pub is_2dgs: bool,
+    /// What has been subtracted from positions that are far from their origin, and in double precision or
+    /// [moved](Self::move_near).
+    pub offset: Option<Offset>,
+    /// Median step of a coordinate in the file, world units: what is closer together is in one place there.
+    pub step: f64,
+}
+
+impl Loaded {
+    /// Moves a splat that is far from its origin near it, by round numbers.
+    pub fn move_near(&mut self) {
+        let found = offset::of_positions(self.cloud.len(), |row| self.cloud.positions[row].map(f64::from));
+        if let Some(by) = found {
+            let positions = self.cloud.positions.iter_mut();
+            positions.for_each(|position| *position = less(position.map(f64::from), by));
+            self.offset = offset::sum(self.offset, found);
+        }
+    }
 }
 
 /// How a splat is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// How a viewer should filter; formats that cannot say it leave it out.
     pub screen_filter: ScreenFilter,
@@ -120,6 +138,8 @@ pub struct Options {
     pub sh_degree: u8,
     /// Which version of `.spz`.
     pub spz_version: SpzVersion,
+    /// What `.ply` has added to positions, in double precision; other formats have no place for it.
+    pub offset: Option<Offset>,
 }
 
 impl Default for Options {
@@ -128,6 +148,7 @@ impl Default for Options {
             screen_filter: ScreenFilter::default(),
             sh_degree: SH_DEGREE_MAX,
             spz_version: SpzVersion::default(),
+            offset: None,
         }
     }
 }
@@ -151,12 +172,13 @@ struct Decoded {
     sh_degree: u8,
     screen_filter: Option<ScreenFilter>,
     is_2dgs: bool,
+    offset: Option<Offset>,
 }
 
 impl From<(PlyHeader, Gaussians)> for Decoded {
     fn from((header, cloud): (PlyHeader, Gaussians)) -> Self {
-        let PlyHeader { sh_degree, screen_filter, is_2dgs, .. } = header;
-        Self { cloud, sh_degree, screen_filter, is_2dgs }
+        let PlyHeader { sh_degree, screen_filter, is_2dgs, offset, .. } = header;
+        Self { cloud, sh_degree, screen_filter, is_2dgs, offset }
     }
 }
 
@@ -179,7 +201,7 @@ pub fn read_unchecked(path: &Path) -> Result<Loaded, FormatError> {
 }
 
 /// The splat in the `bytes` of `path`, which are of this `format`.
-pub(crate) fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
+pub fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
     checked(path, finished(format, decode_bytes(path, format, bytes)?))
 }
 
@@ -189,12 +211,33 @@ fn checked(path: &Path, loaded: Loaded) -> Result<Loaded, FormatError> {
 }
 
 fn finished(format: Format, decoded: Decoded) -> Loaded {
-    let Decoded { mut cloud, sh_degree: sh_degree_in_file, screen_filter, is_2dgs } = decoded;
+    let Decoded { mut cloud, sh_degree: sh_degree_in_file, screen_filter, is_2dgs, offset } = decoded;
     let sh_degree = sh_degree_in_file.min(SH_DEGREE_MAX);
+    // Of positions that had more digits, nothing is lost.
+    let step = if offset.is_some() { 0.0 } else { step(format, &cloud) };
     packing::clamp_opacities(&mut cloud);
     packing::clamp_log_scales(&mut cloud);
-    Loaded { cloud, format, sh_degree, sh_degree_in_file, screen_filter, is_2dgs }
+    Loaded { cloud, format, sh_degree, sh_degree_in_file, screen_filter, is_2dgs, offset, step }
 }
+
+/// Median step of a coordinate where `cloud` is written as `format`, world units.
+pub fn step(format: Format, cloud: &Gaussians) -> f64 {
+    let middle = |axis: usize| {
+        let every = cloud.len().div_ceil(STEP_SAMPLE).max(1);
+        let sample = cloud.positions.iter().step_by(every).map(|position| f64::from(position[axis].abs()));
+        median(sample.filter(|value| value.is_finite()))
+    };
+    let far = (0..3).filter_map(middle).fold(0.0, f64::max);
+    let single = far * f64::from(f32::EPSILON);
+    match format {
+        Format::Spz => single.max(spz::step(cloud)),
+        Format::Sog => single.max(sog::step(cloud, far)),
+        Format::Ply | Format::CompressedPly | Format::Splat | Format::Glb => single,
+    }
+}
+
+/// So many positions tell a step.
+const STEP_SAMPLE: usize = 1 << 14;
 
 fn decode(path: &Path, format: Format) -> Result<Decoded, FormatError> {
     if format == Format::Ply {
@@ -303,7 +346,8 @@ fn ensure_memory(path: &Path, clouds: usize, gaussians: usize) -> Result<(), For
 }
 
 fn ply_options(options: &Options) -> PlyOptions {
-    PlyOptions { screen_filter: options.screen_filter, sh_degree: options.sh_degree.min(SH_DEGREE_MAX) }
+    let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
+    PlyOptions { screen_filter: options.screen_filter, sh_degree, offset: options.offset }
 }
 
 /// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes:

@@ -42,5 +42,5 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
         cloud.opacity_logits[row] = opacity_logit(f32::from(bytes[27]) / 255.0);
         cloud.rotations[row] = normalised([28, 29, 30, 31].map(|at| (f32::from(bytes[at]) - 128.0) / 128.0));
     }
-    Ok(Decoded { cloud, sh_degree: 0, screen_filter: None, is_2dgs: false })
+    Ok(Decoded { cloud, sh_degree: 0, screen_filter: None, is_2dgs: false, offset: None })
 }

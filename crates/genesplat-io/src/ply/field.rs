@@ -32,6 +32,16 @@ impl Field {
         }
     }
 
+    /// The same with all digits that the file has.
+    pub(super) fn exact(self, row: &[u8]) -> f64 {
+        match self.scalar {
+            Scalar::F64 => f64::from_le_bytes(self.bytes(row)),
+            Scalar::I32 => i32::from_le_bytes(self.bytes(row)).into(),
+            Scalar::U32 => u32::from_le_bytes(self.bytes(row)).into(),
+            _ => self.value(row).into(),
+        }
+    }
+
     /// Its bytes, the lowest first.
     fn bytes<const K: usize>(self, row: &[u8]) -> [u8; K] {
         let mut bytes: [u8; K] = std::array::from_fn(|i| row[self.offset + i]);
@@ -68,6 +78,11 @@ impl Scalar {
             "double" | "float64" => Self::F64,
             _ => return None,
         })
+    }
+
+    /// Holds more digits than single precision.
+    pub(super) fn is_exact(self) -> bool {
+        matches!(self, Self::F64 | Self::I32 | Self::U32)
     }
 
     pub(super) fn is_float(self) -> bool {

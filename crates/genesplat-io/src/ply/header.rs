@@ -8,10 +8,11 @@ use genesplat_core::spherical_harmonics::coefficients;
 
 use super::field::{Field, Property, Scalar};
 use super::{PlyError, PlyOptions};
+use crate::offset::Offset;
 use crate::shown;
 
 /// What a PLY file says about itself.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PlyHeader {
     /// Number of Gaussians.
     pub gaussians: u64,
@@ -23,6 +24,8 @@ pub struct PlyHeader {
     pub is_2dgs: bool,
     /// How a viewer should filter; `None` when the file does not say.
     pub screen_filter: Option<ScreenFilter>,
+    /// What has been subtracted from positions that are in double precision, and far from their origin.
+    pub offset: Option<Offset>,
     /// Header comments in order; what is not UTF-8 in them is replaced.
     pub comments: Vec<String>,
     pub(super) encoding: Encoding,
@@ -250,6 +253,7 @@ fn assemble(preamble: Preamble) -> Result<PlyHeader, String> {
         encoding,
         properties: vertex.properties,
         row_bytes: vertex.row_bytes,
+        offset: None,
         before,
         ends_with_vertices,
         has_faces,
@@ -315,7 +319,9 @@ pub(super) fn text(rows: usize, has_filter_3d: bool, options: &PlyOptions) -> St
     filter_comments(options.screen_filter).iter().for_each(|comment| text += &format!("comment {comment}\n"));
     text += &format!("element vertex {rows}\n");
     for name in super::rows::property_names(options.sh_degree, has_filter_3d) {
-        text += &format!("property float {name}\n");
+        let is_double = options.offset.is_some() && ["x", "y", "z"].contains(&&*name);
+        let kind = if is_double { "double" } else { "float" };
+        text += &format!("property {kind} {name}\n");
     }
     text + "end_header\n"
 }

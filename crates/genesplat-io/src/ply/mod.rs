@@ -34,24 +34,28 @@ pub(crate) use points::{parse_points, read_points};
 
 use crate::atomic::write_atomically;
 use crate::input;
+use crate::offset::{self, Offset, less};
 
 /// How a cloud is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlyOptions {
     /// How a viewer should filter the splats; the header comment `SplatRenderMode` tells it (shared with
     /// Brush and nerfstudio).
     pub screen_filter: ScreenFilter,
     /// Highest degree of the spherical harmonics that are written, 0 to 3. Other programs expect 3.
     pub sh_degree: u8,
+    /// What is added to positions, which are then written in double precision; `None`: they are as they are.
+    pub offset: Option<Offset>,
 }
 
 impl Default for PlyOptions {
     fn default() -> Self {
-        Self { screen_filter: ScreenFilter::default(), sh_degree: SH_DEGREE_MAX }
+        Self { screen_filter: ScreenFilter::default(), sh_degree: SH_DEGREE_MAX, offset: None }
     }
 }
 
-/// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
+/// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`]. Only where
+/// positions in double precision are far from their origin, they are moved by [`PlyHeader::offset`].
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
     read_ply_with_header(path).map(|(_, cloud)| cloud)
 }
@@ -67,9 +71,13 @@ pub(crate) fn parse_splat(
     reader: impl BufRead,
     size: u64,
 ) -> Result<(PlyHeader, Gaussians), PlyError> {
-    let (header, mut rest) = parse_header(path, reader, size)?;
+    let (mut header, mut rest) = parse_header(path, reader, size)?;
     ensure_memory(header.gaussians, path)?;
-    let cloud = rows::read(&header, &mut rest, path)?;
+    let (mut cloud, exact) = rows::read(&header, &mut rest, path)?;
+    header.offset = offset::of_positions(exact.len(), |row| exact[row]);
+    if let Some(by) = header.offset {
+        cloud.positions.iter_mut().zip(exact).for_each(|(position, exact)| *position = less(exact, by));
+    }
     Ok((header, cloud))
 }
 
@@ -104,7 +112,7 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
 /// The bytes of the file, for who has opened it.
 pub fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
     out.write_all(header_bytes(cloud.len(), cloud.filter_3d.is_some(), options).as_slice())?;
-    rows::write(cloud, 0..cloud.len(), options.sh_degree, out)
+    rows::write(cloud, 0..cloud.len(), options, out)
 }
 
 /// The first bytes of a file of so many rows: for who writes it in pieces.
@@ -115,7 +123,7 @@ pub fn header_bytes(rows: usize, has_filter_3d: bool, options: &PlyOptions) -> V
 /// The bytes of some rows of `cloud`.
 pub fn row_bytes(cloud: &Gaussians, rows: Range<usize>, options: &PlyOptions) -> Vec<u8> {
     let mut bytes = Vec::new();
-    rows::write(cloud, rows, options.sh_degree, &mut bytes).expect("a Vec takes all bytes");
+    rows::write(cloud, rows, options, &mut bytes).expect("a Vec takes all bytes");
     bytes
 }
 
@@ -176,8 +184,8 @@ fn ensure_memory(gaussians: u64, path: &Path) -> Result<(), PlyError> {
     there.map_err(|_| PlyError::Memory { path: path.to_owned(), bytes })
 }
 
-/// With a 3D filter.
-const BYTES_PER_GAUSSIAN: usize = Gaussians::BYTES_PER_ROW + size_of::<f32>();
+/// With a 3D filter, and a position in double precision.
+const BYTES_PER_GAUSSIAN: usize = Gaussians::BYTES_PER_ROW + size_of::<f32>() + size_of::<[f64; 3]>();
 
 fn read_error(path: &Path, source: io::Error) -> PlyError {
     PlyError::Read { path: path.to_owned(), source }

@@ -7,6 +7,7 @@ use super::header::{Encoding, PlyHeader};
 use super::{PlyError, open, parse_header, read_error, text};
 use crate::colmap::{Finite, finite_points};
 use crate::error::SceneError;
+use crate::offset::Offset;
 use crate::scene::Point;
 use crate::shown;
 
@@ -19,10 +20,10 @@ const POINTS: &str = "a cloud of points with x, y and z, or leave ply_file_path 
 /// Of a cloud without colours.
 const GREY: u8 = 127;
 
-/// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.
-pub(crate) fn read_points(path: &Path) -> Result<Finite<Point>, SceneError> {
+/// Reads the points of `path`; positions are in the file's own frame, less `offset`, colours 0 to 255.
+pub(crate) fn read_points(path: &Path, offset: Offset) -> Result<Finite<Point>, SceneError> {
     let (file, size) = open(path)?;
-    parse_points(path, file, size)
+    parse_points(path, file, size, offset)
 }
 
 /// The same from the `size` bytes of `reader`; `path` is named in errors.
@@ -30,6 +31,7 @@ pub(crate) fn parse_points(
     path: &Path,
     reader: impl BufRead,
     size: u64,
+    offset: Offset,
 ) -> Result<Finite<Point>, SceneError> {
     let (header, reader) = parse_header(path, reader, size)?;
     let colour = COLOURS.into_iter().find(|names| header.has_all(*names));
@@ -38,9 +40,9 @@ pub(crate) fn parse_points(
         Encoding::Binary => binary(&header, &names, reader, path)?,
         Encoding::Ascii => ascii(&header, &names, reader, path)?,
     };
-    let full = colour.map(|names| full_colour(header.are_floats(names), rows.iter().map(|row| row[1])));
-    let points = rows.into_iter().map(|[position, rgb]| Ok((position.map(f64::from), level(rgb, full))));
-    let mut finite = finite_points(path, points)?;
+    let full = colour.map(|names| full_colour(header.are_floats(names), rows.iter().map(|(_, rgb)| *rgb)));
+    let points = rows.into_iter().map(|(position, rgb)| Ok((position, level(rgb, full))));
+    let mut finite = finite_points(path, offset, points)?;
     if colour.is_none() {
         let grey = format!("the points of {} have no colours, and start grey", shown(path));
         finite.notice = Some(finite.notice.map_or(grey.clone(), |notice| format!("{notice}; {grey}")));
@@ -63,11 +65,11 @@ fn level(rgb: [f32; 3], full: Option<f32>) -> [u8; 3] {
 }
 
 /// The named values of a row: position, and colour where there is one.
-type Row = [[f32; 3]; 2];
+type Row = ([f64; 3], [f32; 3]);
 
-fn row(value: impl Fn(usize) -> f32, count: usize) -> Row {
-    [0, 3]
-        .map(|first| std::array::from_fn(|axis| if first + axis < count { value(first + axis) } else { 0.0 }))
+fn row(value: impl Fn(usize) -> f64, count: usize) -> Row {
+    let channel = |channel: usize| if 3 + channel < count { value(3 + channel) as f32 } else { 0.0 };
+    (std::array::from_fn(&value), std::array::from_fn(channel))
 }
 
 fn binary(
@@ -82,7 +84,7 @@ fn binary(
     (0..header.gaussians)
         .map(|_| {
             reader.read_exact(&mut bytes).map_err(|source| read_error(path, source))?;
-            Ok(row(|property| fields[property].value(&bytes), fields.len()))
+            Ok(row(|property| fields[property].exact(&bytes), fields.len()))
         })
         .collect()
 }

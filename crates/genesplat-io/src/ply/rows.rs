@@ -10,7 +10,8 @@ use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients, dc_from_r
 use super::field::Field;
 use super::header::{Encoding, PlyHeader};
 use super::points::{COLOURS, full_colour};
-use super::{PlyError, read_error, text};
+use super::{PlyError, PlyOptions, read_error, text};
+use crate::offset::Offset;
 
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
 
@@ -37,27 +38,29 @@ pub(super) fn property_names(sh_degree: u8, filter_3d: bool) -> Vec<String> {
     .concat()
 }
 
-/// The cloud whose first row is next in `reader`; the caller has checked that the file holds as many as it
-/// promises.
+/// The cloud whose first row is next in `reader`, and its positions once more where they are in double
+/// precision; the caller has checked that the file holds as many as it promises.
 pub(super) fn read(
     header: &PlyHeader,
     reader: &mut impl BufRead,
     path: &Path,
-) -> Result<Gaussians, PlyError> {
+) -> Result<(Gaussians, Vec<[f64; 3]>), PlyError> {
     let count = header.gaussians as usize;
     let zeros =
         || Gaussians { filter_3d: header.has_filter_3d.then(|| vec![0.0; count]), ..Gaussians::zeros(count) };
-    let mut cloud = zeros();
+    let (mut cloud, mut exact) = (zeros(), Vec::new());
     match header.encoding {
         Encoding::Binary => {
             let layout = Layout::of(header, |name| header.field(name, path, SPLAT))?;
-            let read = layout.read_binary(header.row_bytes, reader, &mut cloud);
+            let read = layout.read_binary(header.row_bytes, reader, &mut cloud, &mut exact);
             read.map_err(|source| read_error(path, source))?;
         }
         Encoding::Ascii => {
             let layout = Layout::of(header, |name| header.column(name, path, SPLAT))?;
+            exact.reserve_exact(count);
             text::read(header, reader, path, |row, values| {
-                layout.set(row, |column| values[column], &mut cloud)
+                layout.set(row, |column| values[column] as f32, &mut cloud);
+                exact.push(layout.position.map(|column| values[column]));
             })?;
         }
     }
@@ -66,7 +69,7 @@ pub(super) fn read(
         let base = cloud.sh.iter_mut().flat_map(|sh| &mut sh[..3]);
         base.for_each(|value| *value = dc_from_rgb(*value / full));
     }
-    Ok(cloud)
+    Ok((cloud, exact))
 }
 
 /// The names of colours that stand in place of the base of the harmonics, as nerfstudio exports `rgb`.
@@ -117,15 +120,26 @@ impl<Place: Copy> Layout<Place> {
 }
 
 impl Layout<Field> {
-    /// Fills every row of `cloud`.
-    fn read_binary(&self, row_bytes: usize, reader: &mut impl Read, cloud: &mut Gaussians) -> io::Result<()> {
+    /// Fills every row of `cloud`, and `exact` with positions in double precision.
+    fn read_binary(
+        &self,
+        row_bytes: usize,
+        reader: &mut impl Read,
+        cloud: &mut Gaussians,
+        exact: &mut Vec<[f64; 3]>,
+    ) -> io::Result<()> {
         let count = cloud.len();
+        let is_exact = self.position.iter().any(|field| field.scalar.is_exact());
+        exact.reserve_exact(if is_exact { count } else { 0 });
         let mut chunk = vec![0; CHUNK_ROWS.min(count) * row_bytes];
         for first in (0..count).step_by(CHUNK_ROWS) {
             let bytes = &mut chunk[..CHUNK_ROWS.min(count - first) * row_bytes];
             reader.read_exact(bytes)?;
             for (row, bytes) in (first..).zip(bytes.chunks_exact(row_bytes)) {
                 self.set(row, |field| field.value(bytes), cloud);
+                if is_exact {
+                    exact.push(self.position.map(|field| field.exact(bytes)));
+                }
             }
         }
         Ok(())
@@ -147,17 +161,16 @@ fn sh_properties(degree: u8, base: [&str; 3]) -> impl Iterator<Item = (usize, St
 pub(super) fn write(
     cloud: &Gaussians,
     rows: Range<usize>,
-    sh_degree: u8,
+    options: &PlyOptions,
     out: &mut impl Write,
 ) -> io::Result<()> {
     const NORMAL: [f32; 3] = [0.0; 3];
-    let mut bytes = Vec::new();
+    let (sh_degree, mut bytes) = (options.sh_degree, Vec::new());
     for row in rows {
         let sh = &cloud.sh[row];
         let rest =
             (0..3).flat_map(|channel| (1..coefficients(sh_degree)).map(move |k| &sh[sh_index(channel, k)]));
-        let values = (cloud.positions[row].iter())
-            .chain(&NORMAL)
+        let values = (NORMAL.iter())
             .chain(&sh[..3])
             .chain(rest)
             .chain([&cloud.opacity_logits[row]])
@@ -165,8 +178,20 @@ pub(super) fn write(
             .chain(&cloud.rotations[row])
             .chain(cloud.filter_3d.as_ref().map(|filter| &filter[row]));
         bytes.clear();
+        write_position(cloud.positions[row], options.offset, &mut bytes);
         values.for_each(|value| bytes.extend(value.to_le_bytes()));
         out.write_all(&bytes)?;
     }
     Ok(())
+}
+
+/// In single precision, or in double precision with the offset added.
+fn write_position(position: [f32; 3], offset: Option<Offset>, bytes: &mut Vec<u8>) {
+    match offset {
+        None => position.iter().for_each(|value| bytes.extend(value.to_le_bytes())),
+        Some(by) => position
+            .iter()
+            .zip(by)
+            .for_each(|(value, by)| bytes.extend((f64::from(*value) + by).to_le_bytes())),
+    }
 }

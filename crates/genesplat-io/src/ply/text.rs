@@ -11,7 +11,7 @@ pub(super) fn read(
     header: &PlyHeader,
     reader: impl BufRead,
     path: &Path,
-    mut on_row: impl FnMut(usize, &[f32]),
+    mut on_row: impl FnMut(usize, &[f64]),
 ) -> Result<(), PlyError> {
     let mut lines = reader.lines();
     let mut values = Vec::with_capacity(header.properties.len());
@@ -24,7 +24,7 @@ pub(super) fn read(
         let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;
         let words = line.split_ascii_whitespace().take(header.properties.len());
         values.clear();
-        words.map_while(|word| word.parse().ok()).for_each(|value: f32| values.push(value));
+        words.map_while(|word| word.parse().ok()).for_each(|value: f64| values.push(value));
         if values.len() < header.properties.len() {
             return Err(bad());
         }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Point;
 use crate::digest::Digest;
 use crate::listing::ListedPhoto;
+use crate::offset::Offset;
 use crate::photos::Lens;
 
 /// Digests of all that a scene consists of.
@@ -17,6 +18,9 @@ pub struct SceneDigests {
     pub photos: Vec<PhotoDigests>,
     /// Of the points in the scene's files, in their order; `None` where they were not loaded.
     pub points: Option<Digest>,
+    /// What has been subtracted from the coordinates of the scene's source; `None` where it is near its origin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offset: Option<Offset>,
 }
 
 /// Those of one photo.
@@ -66,7 +70,12 @@ impl SceneDigests {
         let held_out = test.into_iter().map(|photo| PhotoDigests { held_out: true, ..photo });
         let mut photos: Vec<PhotoDigests> = train.into_iter().chain(held_out).collect();
         photos.sort_by(|a, b| a.name.cmp(&b.name));
-        Self { photos, points }
+        Self { photos, points, offset: None }
+    }
+
+    /// The same of a scene that was moved.
+    pub(super) fn moved(self, offset: Option<Offset>) -> Self {
+        Self { offset, ..self }
     }
 
     /// Of training views and held-out ones that no files are behind. A photo that cannot be read has none.

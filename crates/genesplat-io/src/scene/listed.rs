@@ -7,7 +7,8 @@ use genesplat_core::Camera;
 use super::{LoadOptions, Point, list, split};
 use crate::colmap::{ImageRecord, Intrinsics, Model};
 use crate::error::SceneError;
-use crate::listing::ListedPhoto;
+use crate::listing::{ListedPhoto, Listing};
+use crate::offset::Offset;
 use crate::photos::Lens;
 
 /// Where photos are and what took them, and the points of their reconstruction.
@@ -17,6 +18,8 @@ pub struct SceneList {
     pub photos: Vec<ScenePhoto>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
+    /// What has been subtracted from the coordinates of the scene's source, if anything.
+    pub offset: Option<Offset>,
     /// What the user should know: one sentence each.
     pub notices: Vec<String>,
 }
@@ -64,8 +67,8 @@ impl ScenePhoto {
 
 /// Lists the scene that [`super::load_scene`] would load; `options` say what is held out.
 pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, SceneError> {
-    let listing = list(path, options)?;
-    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let Listing { photos, points, moved, notices, doubts, .. } = list(path, options)?;
+    let (train, test) = split::split(photos, &options.hold_out, path)?;
     let photo = |is_test: bool| {
         move |ListedPhoto { name, path, camera, lens, mask, .. }: ListedPhoto| ScenePhoto {
             name,
@@ -77,9 +80,9 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
         }
     };
     let photos = train.into_iter().map(photo(false)).chain(test.into_iter().map(photo(true))).collect();
-    let problems = listing.doubts.into_iter().map(|doubt| doubt.problem);
-    let notices = listing.notices.into_iter().chain(problems).collect();
-    Ok(SceneList { photos, points: listing.points, notices })
+    let problems = doubts.into_iter().map(|doubt| doubt.problem);
+    let notices = notices.into_iter().chain(problems).collect();
+    Ok(SceneList { photos, points, offset: moved.offset, notices })
 }
 
 /// COLMAP's model of `photos`, by the names of their views, with these points. Each photo has a camera of its

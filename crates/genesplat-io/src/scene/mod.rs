@@ -15,6 +15,7 @@ mod view;
 
 use std::fs;
 use std::io::ErrorKind;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use genesplat_core::View;
@@ -31,10 +32,10 @@ pub use view::SIDE_MIN_PX;
 use crate::colmap::{self, ModelFolder, PhotoFolder};
 use crate::digest::Digest;
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, damaged_notice};
+use crate::listing::{Frame, ListedPhoto, Listing, Wanted, damaged_notice};
+use crate::offset::{self, Offset};
 use crate::photos::PhotoSize;
-use crate::transforms::{self, Wanted};
-use crate::{input, plural, shown};
+use crate::{input, plural, shown, transforms};
 use view::{Loaded, Opened, PhotoStorage, Pinholes};
 
 /// A point of a reconstruction.
@@ -90,6 +91,12 @@ pub struct LoadOptions {
     pub image_folder: PathBuf,
     /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
     pub with_points: bool,
+    /// Only so many photos, at even distances: held-out ones, or training photos where none are held out.
+    /// `None`: all of them.
+    pub sample: Option<NonZeroUsize>,
+    /// What shall have been subtracted from all coordinates, world units; `None`: nothing, or, where the scene
+    /// is far from its origin, what brings it there.
+    pub offset: Option<Offset>,
     /// Seed of the random points that a scene without points starts from.
     pub seed: u64,
     /// When and where photos are kept in a file; `None`: in memory, however many they are.
@@ -117,6 +124,8 @@ impl Default for LoadOptions {
             near: None,
             image_folder: "images".into(),
             with_points: true,
+            sample: None,
+            offset: None,
             seed: 0,
             spill: None,
         }
@@ -162,7 +171,7 @@ pub fn load_scene(
     let listing = list(path, options)?;
     let files = |photo: &ListedPhoto| std::iter::once(photo.path.clone()).chain(photo.mask.clone());
     let photos = listing.photos.iter().flat_map(files).collect();
-    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let (mut train, mut test) = split::split(listing.photos, &options.hold_out, path)?;
     if train.is_empty() {
         let problem = format!(
             "has not enough photos: {0}, of which {0} would be held out for testing and none is left to train on; \
@@ -171,17 +180,20 @@ pub fn load_scene(
         );
         return Err(SceneError::invalid(path, problem));
     }
+    if let Some(most) = options.sample {
+        (train, test) = split::sample(train, test, most);
+    }
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
     let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
-    if train.is_empty() {
+    if train.is_empty() && options.sample.is_none() {
         return Err(SceneError::invalid(
             path,
             "has masks that hide all of its training photos; masks are black where a \
             photo does not count",
         ));
     }
-    let digests = SceneDigests::of(digests, listing.points_digest);
+    let digests = SceneDigests::of(digests, listing.points_digest).moved(listing.moved.offset);
     let (name, points, doubts) = (scene_name(path), listing.points, listing.doubts);
     Ok(Scene { name, train, test, points, photos, digests, notices, doubts })
 }
@@ -246,7 +258,7 @@ pub fn scene_digests(path: &Path, options: &LoadOptions) -> Result<SceneDigests,
     let listing = list(path, options)?;
     let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
     let of = |photos: &[ListedPhoto]| photos.par_iter().map(digests_of).collect::<Result<Vec<_>, _>>();
-    Ok(SceneDigests::of([of(&train)?, of(&test)?], listing.points_digest))
+    Ok(SceneDigests::of([of(&train)?, of(&test)?], listing.points_digest).moved(listing.moved.offset))
 }
 
 fn digests_of(listed: &ListedPhoto) -> Result<PhotoDigests, SceneError> {
@@ -315,7 +327,14 @@ fn list_part(path: &Path, scene: &Path, options: &LoadOptions) -> Result<Listing
 fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     let is_usual = options.image_folder == LoadOptions::default().image_folder;
     let photos = PhotoFolder { path: scene.join(&options.image_folder), is_usual };
-    colmap::list(model, &photos, options.with_points)
+    colmap::list(model, &photos, wanted(scene, options)?)
+}
+
+/// What is wanted of the scene in this folder.
+fn wanted(scene: &Path, options: &LoadOptions) -> Result<Wanted, SceneError> {
+    let already = offset::of_scene(scene)?;
+    let frame = Frame { asked: options.offset, already };
+    Ok(Wanted { points: options.with_points, masks: options.mask != MaskUse::Off, frame })
 }
 
 /// Fails where one of these folders is there and must not be read.
@@ -353,15 +372,14 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
 }
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let wanted = Wanted { points: options.with_points, masks: options.mask != MaskUse::Off };
     if let Some(model) = colmap::find_model(path) {
         return of_model(&model, path, options);
     }
     if path.join("transforms_train.json").is_file() {
-        return transforms::list_blender(path, wanted);
+        return transforms::list_blender(path, wanted(path, options)?);
     }
     if path.join("transforms.json").is_file() {
-        return transforms::list_nerfstudio(path, wanted);
+        return transforms::list_nerfstudio(path, wanted(path, options)?);
     }
     let nested = colmap::find_nested_model(path).ok_or_else(|| SceneError::Unrecognised(path.to_owned()))?;
     of_model(&nested, path, options)

@@ -1,32 +1,54 @@
-//! Scenes far from their origin, as reconstructions in geographic coordinates are: single precision, in which
-//! splats are trained and stored, has steps there that are not small beside the scene.
+//! Scenes far from their origin are moved ([`crate::offset`]); what is still far is told, or refused.
 
-use genesplat_core::camera::mean_and_radius;
+use genesplat_core::Camera;
 use glam::DVec3;
 
 use crate::error::SceneError;
-use crate::listing::Listing;
+use crate::listing::{Frame, ListedPhoto, Listing, Moved};
+use crate::offset::{self, FAR, Offset, reach, relative_step};
 
 /// What to do about it.
 pub(crate) const CENTRE: &str = "centre the reconstruction: move cameras and points by the same vector, for instance by \
                                  `colmap model_transformer`";
 
-/// Steps of single precision where the cameras are, as a part of the cameras' radius: beyond the first the
-/// user is told, and beyond the second the scene is refused. Where the radius spans a thousand pixels of a
-/// photo, they are a hundredth of a pixel and a pixel.
-const TOLD: f64 = 1e-5;
+/// A scene is refused whose steps are larger than this part of the cameras' radius. Where the radius spans a
+/// thousand pixels of a photo, they are a pixel.
 const REFUSED: f64 = 1e-3;
 
-/// Of the largest coordinate, so much is rounding even in double precision: cameras no farther apart are in
-/// one place.
-const ONE_PLACE: f64 = 1e-12;
+/// Moves the cameras of `photos` to where they are asked for, or, where nobody asks and they are far from the
+/// origin, near it.
+pub(crate) fn move_cameras(photos: &mut [ListedPhoto], frame: Frame) -> Moved {
+    let already = frame.already.unwrap_or_default();
+    let found = match frame {
+        // Whoever has moved it before meant it to lie there: other parts of it do, too.
+        Frame { asked: Some(_), .. } | Frame { already: Some(_), .. } => None,
+        _ => offset::of_cameras(&centres(photos)),
+    };
+    let offset = frame.asked.or(found).unwrap_or(already);
+    let by: Offset = std::array::from_fn(|axis| offset[axis] - already[axis]);
+    if by != [0.0; 3] {
+        photos.iter_mut().for_each(|photo| move_camera(&mut photo.camera, by));
+    }
+    Moved { by, offset: Some(offset).filter(|offset| *offset != [0.0; 3]), is_found: found.is_some() }
+}
 
-/// What the user should know of the cameras' distance from the origin, if anything; an error where it is far
-/// too large.
+/// `rotation (p - centre)` is `rotation p + translation`.
+fn move_camera(camera: &mut Camera, by: Offset) {
+    let centre = camera.centre_in_world() - DVec3::from(by);
+    camera.camera_from_world_translation = -(camera.rotation() * centre);
+}
+
+fn centres(photos: &[ListedPhoto]) -> Vec<DVec3> {
+    photos.iter().map(|photo| photo.camera.centre_in_world()).collect()
+}
+
+/// What the user should know of the offset, and of the cameras' distance from the origin where they are far
+/// all the same; an error where it is far too large.
 pub(super) fn check(listing: &Listing) -> Result<Option<String>, SceneError> {
-    let centres: Vec<DVec3> = listing.photos.iter().map(|photo| photo.camera.centre_in_world()).collect();
-    let (distance, radius) = reach(&centres);
-    let Some(step) = relative_step(distance, radius).filter(|&step| step > TOLD) else { return Ok(None) };
+    let (distance, radius) = reach(&centres(&listing.photos));
+    let Some(step) = relative_step(distance, radius).filter(|&step| step > FAR) else {
+        return Ok(listing.moved.offset.filter(|_| listing.moved.is_found).map(told));
+    };
     match listing.photos.first() {
         Some(photo) if step > REFUSED => {
             Err(SceneError::FarFromOrigin { file: photo.list.to_path_buf(), distance, radius })
@@ -38,40 +60,33 @@ pub(super) fn check(listing: &Listing) -> Result<Option<String>, SceneError> {
     }
 }
 
-/// The largest coordinate, and the largest distance from the mean.
-fn reach(centres: &[DVec3]) -> (f64, f64) {
-    let distance = centres.iter().map(|centre| centre.abs().max_element()).fold(0.0, f64::max);
-    (distance, mean_and_radius(centres).1)
-}
-
-/// The step of single precision at a coordinate, as a part of `radius`; `None` where cameras in one place say
-/// nothing of the scene's size.
-fn relative_step(distance: f64, radius: f64) -> Option<f64> {
-    (radius > ONE_PLACE * distance).then(|| distance * f64::from(f32::EPSILON) / radius)
+fn told(offset: Offset) -> String {
+    format!(
+        "the scene is far from its origin, where single precision has coarse steps, so its coordinates are taken less the \
+         offset {}, which is kept beside what is written",
+        offset::in_words(offset)
+    )
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DQuat;
+
     use super::*;
 
     #[test]
-    fn steps_are_measured_by_the_cameras_radius() {
-        let ring = |middle: DVec3| [DVec3::X, DVec3::NEG_X, DVec3::Y].map(|arm| middle + 3.0 * arm);
-        assert_eq!(reach(&[DVec3::new(-7.0, 2.0, 3.0)]), (7.0, 0.0));
-        assert_eq!(reach(&[]), (0.0, 0.0));
-        let step = |middle| {
-            let (distance, radius) = reach(&ring(middle));
-            relative_step(distance, radius).unwrap()
+    fn a_moved_camera_sees_the_same() {
+        let by = [431_250.0, 5_412_345.0, 300.0];
+        let mut camera = Camera {
+            camera_from_world_rotation: DQuat::from_xyzw(0.1, -0.5, 0.2, 0.8).normalize(),
+            ..Camera::at_origin(10, 10, 10.0)
         };
-        assert!(step(DVec3::ZERO) < 1e-6);
-        assert!((TOLD..REFUSED).contains(&step(DVec3::new(0.0, 1000.0, 0.0))));
-        assert!(step(DVec3::new(5e5, 5.4e6, 300.0)) > 0.1);
-    }
-
-    #[test]
-    fn cameras_in_one_place_say_nothing() {
-        assert_eq!(relative_step(0.0, 0.0), None);
-        assert_eq!(relative_step(5.4e6, 0.0), None);
-        assert_eq!(relative_step(5.4e6, 1e-9), None, "rounding");
+        camera.camera_from_world_translation =
+            -(camera.rotation() * DVec3::new(431_251.0, 5_412_347.0, 303.0));
+        let point = DVec3::new(431_249.0, 5_412_344.5, 310.0);
+        let before = camera.camera_from_world(point);
+        move_camera(&mut camera, by);
+        assert!(camera.camera_from_world(point - DVec3::from(by)).distance(before) < 1e-8);
+        assert!(camera.centre_in_world().distance(DVec3::new(1.0, 2.0, 3.0)) < 1e-8);
     }
 }

@@ -1,6 +1,6 @@
 //! Which photos are trained on, and which are held out for testing.
 
-use std::num::NonZeroU32;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::View;
@@ -133,4 +133,28 @@ fn first_part(name: &str) -> &str {
 
 fn without_ending(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// At most so many of the held-out photos, or of the others where there are none, at even distances.
+pub(super) fn sample<T>(train: Vec<T>, test: Vec<T>, most: NonZeroUsize) -> (Vec<T>, Vec<T>) {
+    let thinned = |photos: Vec<T>| {
+        let step = photos.len().div_ceil(most.get()).max(1);
+        photos.into_iter().step_by(step).collect()
+    };
+    if test.is_empty() { (thinned(train), test) } else { (Vec::new(), thinned(test)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sample_is_of_held_out_photos_where_there_are_some() {
+        let of = |train: std::ops::Range<u32>, test: std::ops::Range<u32>| {
+            sample(train.collect(), test.collect::<Vec<_>>(), NonZeroUsize::new(4).unwrap())
+        };
+        assert_eq!(of(0..20, 20..30), (vec![], vec![20, 23, 26, 29]));
+        assert_eq!(of(0..20, 0..0), (vec![0, 5, 10, 15], vec![]));
+        assert_eq!(of(0..3, 5..7), (vec![], vec![5, 6]));
+    }
 }

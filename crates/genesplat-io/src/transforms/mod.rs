@@ -20,8 +20,10 @@ use self::splits::Splits;
 use crate::colmap::Finite;
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, all_missing, base_name, inside, no_photos, path_inside, separate,
+    ListedPhoto, Listing, Purpose, Wanted, all_missing, base_name, inside, no_photos, path_inside, separate,
 };
+use crate::offset::Offset;
+use crate::scene::precision::move_cameras;
 use crate::scene::{Cube, Point};
 use crate::{ply, shown, similar};
 
@@ -31,13 +33,6 @@ const BESIDE: [&str; 4] = ["sparse_pc.ply", "pointcloud.ply", "points3D.ply", "p
 /// What the file name of a photo may end in beyond what a frame says.
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 
-/// What is asked for beside photos.
-#[derive(Clone, Copy)]
-pub(crate) struct Wanted {
-    pub(crate) points: bool,
-    pub(crate) masks: bool,
-}
-
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
 pub(crate) fn list_blender(folder: &Path, wanted: Wanted) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
@@ -46,12 +41,14 @@ pub(crate) fn list_blender(folder: &Path, wanted: Wanted) -> Result<Listing, Sce
     if test.is_file() {
         found.add(read_photos(&test, Some(Purpose::Test), wanted)?);
     }
-    Ok(Listing { cube: Some(Cube::BLENDER), ..found.into_listing(wanted.points)? })
+    let listing = found.into_listing(wanted)?;
+    let cube = (listing.moved.by == [0.0; 3]).then_some(Cube::BLENDER);
+    Ok(Listing { cube, ..listing })
 }
 
 /// The scene of `folder/transforms.json`.
 pub(crate) fn list_nerfstudio(folder: &Path, wanted: Wanted) -> Result<Listing, SceneError> {
-    read_photos(&folder.join("transforms.json"), None, wanted)?.into_listing(wanted.points)
+    read_photos(&folder.join("transforms.json"), None, wanted)?.into_listing(wanted)
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -79,11 +76,12 @@ impl Found {
     }
 
     /// With the points that the file names.
-    fn into_listing(mut self, with_points: bool) -> Result<Listing, SceneError> {
+    fn into_listing(mut self, wanted: Wanted) -> Result<Listing, SceneError> {
         if let (true, Some(wanted)) = (self.photos.is_empty(), self.missing.first()) {
             return Err(all_missing(wanted, self.missing.len(), &self.list, None));
         }
-        let OfPoints { points, has_points, points_file } = self.points_of(with_points)?;
+        let moved = move_cameras(&mut self.photos, wanted.frame);
+        let OfPoints { points, has_points, points_file } = self.points_of(wanted.points, moved.by)?;
         Ok(Listing {
             photos: self.photos,
             points,
@@ -93,11 +91,12 @@ impl Found {
             cube: None,
             notices: self.notices,
             doubts: Vec::new(),
+            moved,
         })
     }
 
-    /// The points that the file names, or those of a file that lies where others put it.
-    fn points_of(&mut self, with_points: bool) -> Result<OfPoints, SceneError> {
+    /// The points that the file names, or those of a file that lies where others put it, less `offset`.
+    fn points_of(&mut self, with_points: bool, offset: Offset) -> Result<OfPoints, SceneError> {
         let folder = self.list.parent().unwrap_or(Path::new("")).to_owned();
         let mut points_file = match &self.points {
             Some(name) => {
@@ -110,7 +109,7 @@ impl Found {
         // A file that nobody reads yet is taken for one with points.
         let mut has_points = self.points.is_some() && points_file.exists();
         if with_points && has_points {
-            points = self.read_points(&points_file)?;
+            points = self.read_points(&points_file, offset)?;
             has_points = !points.is_empty();
         } else if with_points && self.points.is_some() {
             self.notices.push(format!("the point cloud {} does not exist", shown(&points_file)));
@@ -124,7 +123,7 @@ impl Found {
         if let Some(file) = beside.filter(|_| !has_points) {
             has_points = true;
             if with_points {
-                points = self.read_points(&file)?;
+                points = self.read_points(&file, offset)?;
                 has_points = !points.is_empty();
                 self.notices.push(format!(
                     "training starts from the points of {}, which the scene does not name",
@@ -136,8 +135,8 @@ impl Found {
         Ok(OfPoints { points, has_points, points_file })
     }
 
-    fn read_points(&mut self, file: &Path) -> Result<Vec<Point>, SceneError> {
-        let Finite { records, notice } = ply::read_points(file)?;
+    fn read_points(&mut self, file: &Path, offset: Offset) -> Result<Vec<Point>, SceneError> {
+        let Finite { records, notice } = ply::read_points(file, offset)?;
         self.notices.extend(notice);
         Ok(records)
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
-use crate::colmap::{ImageRecord, find_nested_model, read_model};
+use crate::colmap::{ImageRecord, find_nested_model, read_model_near};
 use crate::listing::{ListedPhoto, base_name, position_problem};
 use crate::scene::Point;
 
@@ -18,7 +18,7 @@ const RESIDUAL_MAX: f64 = 0.01;
 /// The points of the model in `scene/colmap`, where those of its cameras that `photos` have lie as they do
 /// there. `None` where there is no such model, or the cameras are others.
 pub(super) fn points(scene: &Path, photos: &[ListedPhoto]) -> Option<Vec<Point>> {
-    let model = read_model(&find_nested_model(scene)?).ok()?;
+    let (model, offset) = read_model_near(&find_nested_model(scene)?).ok()?;
     let cameras: HashMap<&str, &Camera> =
         photos.iter().map(|photo| (base_name(&photo.name), &photo.camera)).collect();
     let pair = |image: &ImageRecord| {
@@ -27,7 +27,7 @@ pub(super) fn points(scene: &Path, photos: &[ListedPhoto]) -> Option<Vec<Point>>
     let pairs: Vec<(Pose, Pose)> = model.images.iter().filter_map(pair).collect();
     let similarity = Similarity::between(&pairs)?;
     let moved = |point: Point| {
-        let position = similarity.of(DVec3::from(point.position.map(f64::from)));
+        let position = similarity.of(DVec3::from(point.position.map(f64::from)) + DVec3::from(offset));
         position_problem(position.into())
             .is_none()
             .then(|| Point { position: position.as_vec3().into(), ..point })
@@ -42,9 +42,7 @@ struct Pose {
 
 impl Pose {
     fn of_image(image: &ImageRecord) -> Self {
-        let [w, x, y, z] = image.rotation;
-        let world_from_camera = DQuat::from_xyzw(x, y, z, w).normalize().inverse();
-        Self { centre: world_from_camera * -DVec3::from(image.translation), world_from_camera }
+        Self { centre: image.centre(), world_from_camera: image.camera_from_world().inverse() }
     }
 
     fn of_camera(camera: &Camera) -> Self {

@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::schema::{OptionalIntrinsics, PhotoEntry};
-use super::{ENDS, Found, Wanted, camera, with_end};
+use super::{ENDS, Found, camera, with_end};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Purpose, absent_notice, damaged_notice, inside, lost_poses, path_inside, similar_notice,
+    ListedPhoto, Purpose, Wanted, absent_notice, damaged_notice, inside, lost_poses, path_inside,
+    similar_notice,
 };
 use crate::photos::PhotoError;
 use crate::shown;

@@ -4,8 +4,6 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use glam::{DQuat, DVec3};
-
 use crate::common::{SIZE, tiny_model, tiny_photo, write_form, write_scene};
 use genesplat_io::colmap::{Form, Intrinsics, Model, ModelFolder, find_model, read_model, write_model};
 use genesplat_io::{HoldOut, LoadOptions, LoadProgress, PhotoSize, SceneError, load_scene, photos};
@@ -386,47 +384,6 @@ fn a_photo_listed_twice_is_named() {
 }
 
 /// `model`, moved by a vector: its cameras keep their rotations.
-fn moved(mut model: Model, by: DVec3) -> Model {
-    for image in &mut model.images {
-        let [w, x, y, z] = image.rotation;
-        let turned = DQuat::from_xyzw(x, y, z, w).normalize() * by;
-        image.translation = (DVec3::from(image.translation) - turned).to_array();
-    }
-    for point in &mut model.points {
-        point.position = (DVec3::from(point.position.map(f64::from)) + by).as_vec3().to_array();
-    }
-    model
-}
-
-/// In metres of a map, single precision has steps of half a metre: training was worse by decibels, without a
-/// word.
-#[test]
-fn a_scene_far_from_its_origin_is_told_or_refused() {
-    let load = |model: &Model, hold_out: HoldOut| {
-        let folder = tempfile::tempdir().unwrap();
-        write_scene(folder.path(), Form::Binary, model);
-        load_scene(folder.path(), &LoadOptions { hold_out, ..LoadOptions::default() }, &())
-    };
-    let is_told = |notices: &[String]| notices.iter().any(|notice| notice.contains("far from its origin"));
-    let near = load(&tiny_model(9), HoldOut::default()).unwrap();
-    assert!(!is_told(&near.notices), "{:?}", near.notices);
-    let off = load(&moved(tiny_model(9), DVec3::new(0.0, 1500.0, 0.0)), HoldOut::default()).unwrap();
-    assert!(is_told(&off.notices) && off.notices.iter().any(|notice| notice.contains("model_transformer")));
-    let utm = DVec3::new(5e5, 5.4e6, 300.0);
-    let error = load(&moved(tiny_model(9), utm), HoldOut::default()).unwrap_err();
-    assert!(matches!(error, SceneError::FarFromOrigin { .. }), "{error}");
-    let sentence = error.to_string();
-    assert!(
-        sentence.contains("images.bin")
-            && sentence.contains("up to 540000")
-            && sentence.contains("same vector"),
-        "{sentence}"
-    );
-    // One camera has no radius.
-    let alone = load(&moved(tiny_model(1), utm), HoldOut::None).unwrap();
-    assert!(!is_told(&alone.notices), "{:?}", alone.notices);
-}
-
 #[test]
 fn one_photo_is_not_enough_unless_none_is_held_out() {
     let sentence = refusal(Form::Binary, &tiny_model(1), |_| {});

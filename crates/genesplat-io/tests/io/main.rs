@@ -4,6 +4,7 @@ mod archive;
 mod colmap;
 mod common;
 mod extremes;
+mod far;
 mod foreign;
 mod formats;
 mod found;

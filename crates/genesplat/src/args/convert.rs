@@ -7,6 +7,7 @@ use genesplat::flags::{MachineArgs, choice};
 use genesplat::io::format::SpzVersion;
 
 use super::choice::SPZ_VERSIONS;
+use super::placement::PlacementArgs;
 use super::{PhotosArgs, ShownOnArgs, fraction};
 
 /// What says nothing where no photos are loaded.
@@ -35,11 +36,17 @@ pub(crate) struct ConvertArgs {
     /// there is]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
     pub(crate) sh_degree: Option<u8>,
+    #[command(flatten)]
+    pub(crate) placement: PlacementArgs,
+    /// Give back the coordinates of the survey, in double precision: what was subtracted from them, since they
+    /// are far from their origin, is added again. For .ply, which alone has double precision
+    #[arg(long, conflicts_with_all = ["up", "rotate", "scale", "translate"])]
+    pub(crate) georeferenced: bool,
     /// Version of .spz to write [default: 4]
     #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
     pub(crate) spz_version: Option<SpzVersion>,
-    /// Folder of the scene that the splat shows: say what is lost, in dB, on the photos that training never
-    /// saw [default: none]
+    /// Folder of the scene that the splat shows: say what is lost, in dB, on all photos that training never
+    /// saw [default: eight of them of the RUN, if its scene is still there; none for a SPLAT]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]

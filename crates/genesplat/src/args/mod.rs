@@ -19,6 +19,7 @@ mod choice;
 mod convert;
 mod page;
 mod photos;
+mod placement;
 mod poses;
 #[cfg(test)]
 mod tests;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::names::is_file_name;
-use genesplat::io::{command_line, input, shown};
+use genesplat::io::{Offset, command_line, input, shown};
 use genesplat::run::files::write_own_json;
 use genesplat::run::scene::PHOTOS_MIN;
 use serde::{Deserialize, Serialize};
@@ -25,6 +25,9 @@ pub(super) struct Cut {
     /// The scene that was cut, for whoever wonders.
     pub(super) scene: String,
     pub(super) grid: Grid,
+    /// What was subtracted from its coordinates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) offset: Option<Offset>,
 }
 
 impl Cut {
@@ -90,7 +93,8 @@ mod tests {
     }
 
     fn cut() -> Cut {
-        Cut { scene: "scene".into(), grid: Grid::cut(&[Camera::at_origin(10, 10, 10.0)], &points(), [2, 2]) }
+        let grid = Grid::cut(&[Camera::at_origin(10, 10, 10.0)], &points(), [2, 2]);
+        Cut { scene: "scene".into(), grid, offset: None }
     }
 
     #[test]

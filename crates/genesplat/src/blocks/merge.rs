@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
+use genesplat::core::{Gaussians, RenderSettings, ScreenFilter, Similarity};
 use genesplat::io::blocks::{Block, Grid};
-use genesplat::io::shown;
+use genesplat::io::{Offset, shown};
 use genesplat::run::inputs::{Inputs, check_shared};
 use genesplat::run::session::has_checkpoint;
 use genesplat::run::splat;
@@ -14,16 +14,29 @@ use glam::DVec3;
 
 use super::folder::{Cut, command, run_of};
 
-/// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be
-/// shown.
-pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
-    let grid = Cut::read(folder)?.grid;
+/// What the blocks come to.
+pub(crate) struct Merged {
+    /// The Gaussians of every block's run that stand on its core, block after block.
+    pub(crate) cloud: Gaussians,
+    /// How they are meant to be shown.
+    pub(crate) settings: RenderSettings,
+    /// What was subtracted from the coordinates of the scene before it was cut.
+    pub(crate) offset: Option<Offset>,
+}
+
+/// The splats of all blocks in `folder` as one.
+pub(crate) fn merge(folder: &Path) -> Result<Merged> {
+    let Cut { grid, offset, .. } = Cut::read(folder)?;
     check_runs(&grid, folder)?;
     check_inputs(&grid, folder)?;
+    let whole_offset = DVec3::from(offset.unwrap_or_default());
     let mut whole: Option<(Gaussians, RenderSettings)> = None;
     for block in grid.blocks() {
         let run = run_of(block, folder);
-        let splat = splat::open(&run)?;
+        let mut splat = splat::open(&run)?;
+        // A block that does not say where the others lie may have been moved once more.
+        let translation = DVec3::from(splat.offset.unwrap_or_default()) - whole_offset;
+        Similarity { translation, ..Similarity::default() }.apply(&mut splat.cloud);
         let stands =
             |row: &u32| grid.owns(block, DVec3::from(splat.cloud.positions[*row as usize].map(f64::from)));
         let rows: Vec<u32> = (0..splat.cloud.len() as u32).filter(stands).collect();
@@ -40,7 +53,8 @@ pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
         }
         whole.0.append(part.0);
     }
-    Ok(whole.expect("a cut has at least one block"))
+    let (cloud, settings) = whole.expect("a cut has at least one block");
+    Ok(Merged { cloud, settings, offset })
 }
 
 /// The first setting in which both differ, as each has it.

@@ -7,7 +7,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::Camera;
 use genesplat::io::blocks::{Block, Grid, Members};
 use genesplat::io::colmap::write_model;
-use genesplat::io::{Point, SceneList, ScenePhoto, model_of, own, plural, shown};
+use genesplat::io::{Offset, Point, SceneList, ScenePhoto, model_of, offset, own, plural, shown};
 use genesplat::run::files::{make_own_folder, unwritable, write_own_text};
 use genesplat::run::numbers::thousands;
 use genesplat::run::output;
@@ -20,6 +20,8 @@ use super::folder::{Cut, SCENES, TEST_LIST, command};
 struct Content<'a> {
     photos: Vec<&'a ScenePhoto>,
     points: Vec<Point>,
+    /// What was subtracted from the coordinates of the whole scene.
+    offset: Option<Offset>,
 }
 
 /// Cuts `list`, the scene at `scene`, into `columns` x `rows` blocks, and writes them below `out`. A block is
@@ -44,12 +46,12 @@ pub(crate) fn split(
     for (number, block) in grid.blocks().iter().enumerate() {
         let photos = members.photos(number).iter().map(|&photo| &list.photos[photo]).collect();
         let points = members.points(number).map(|point| list.points[point]).collect();
-        let content = Content { photos, points };
+        let content = Content { photos, points, offset: list.offset };
         write(&make_own_folder(out, Path::new(SCENES).join(&block.name))?, &content)?;
         tell(block, &content, out)?;
     }
     // Last: a folder with this file is whole.
-    Cut { scene: shown(scene), grid }.write(out)?;
+    Cut { scene: shown(scene), grid, offset: list.offset }.write(out)?;
     claim.finish()
 }
 
@@ -80,6 +82,8 @@ fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
     if !tests.is_empty() {
         write_own_text(folder, TEST_LIST, &(tests.join("\n") + "\n"))?;
     }
+    // Where there is none, too: all blocks lie in one frame.
+    write_own_text(folder, offset::OF_SCENE, &offset::to_json(content.offset.unwrap_or_default()))?;
     let model = make_own_folder(folder, "sparse/0")?;
     write_model(&model, &model_of(&content.photos, content.points.clone()))
         .map_err(|error| unwritable(&model, &error))

@@ -5,11 +5,12 @@ use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, memory};
+use genesplat::core::{Gaussians, RenderSettings, Similarity, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
-use genesplat::io::{plural, shown};
+use genesplat::io::{Offset, Scene, offset, plural, shown};
 use genesplat::run::CLOUD;
+use genesplat::run::device::Device;
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::WriteBar;
 use genesplat::run::photos::check_test_photos;
@@ -17,10 +18,12 @@ use genesplat::run::score::evaluate_all;
 use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
+use glam::{DQuat, DVec3};
 
+use super::loss::{PHOTOS, Sample};
 use crate::args::ConvertArgs;
 
-/// Reads, cleans, cuts, writes, and says what that cost.
+/// Reads, cleans, cuts, places, writes, and says what that cost.
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let format = files::format_of(&args.out)?;
@@ -29,43 +32,135 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         "--spz-version is for .spz, and {} is none; leave it out",
         shown(&args.out)
     );
+    ensure!(
+        !args.georeferenced || format == Format::Ply,
+        "--georeferenced is for .ply, which alone has coordinates in double precision, and {} is none; give another OUT",
+        shown(&args.out)
+    );
     let mut splat = splat::open_unchecked(&args.splat)?.on(args.on.background);
+    ensure!(
+        !args.georeferenced || splat.offset.is_some(),
+        "{} has no offset, so its coordinates are those of its source already; leave --georeferenced out",
+        shown(&args.splat)
+    );
     let in_file = splat.cloud.len();
     splat.cloud = clean(splat.cloud, &args.splat)?;
-    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos.asked()?)).transpose()?;
-    if let Some(scene) = &scene {
-        check_test_photos(&args.splat, scene)?;
-        ensure!(
-            !scene.test.is_empty(),
-            "{} has no test photos to measure a loss on; leave --data out",
-            scene.name
-        );
-    }
+    let photos = photos(&splat, format, args)?;
     say_size("read from", &args.splat, in_file)?;
-    let cloud = cut(&splat.cloud, args)?;
+    let mut cloud = cut(&splat.cloud, args)?;
+    let placed = args.placement.similarity(up(&splat, args)?);
+    placed.apply(&mut cloud);
+    let offset = offset_after(&splat, &placed);
     let options = Options {
         screen_filter: splat.settings.filter,
         sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
         spz_version: args.spz_version.unwrap_or_default(),
+        offset: offset.filter(|_| args.georeferenced),
     };
     format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
+    splat::write_offset(&args.out, offset.filter(|_| !args.georeferenced))?;
+    tell_coarse(splat.step, &splat.cloud, &args.splat);
+    if !args.georeferenced {
+        tell_coarse(format::step(format, &cloud), &cloud, &args.out);
+    }
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
-    let Some(scene) = scene else { return Ok(()) };
+    photos.map_or(Ok(()), |photos| say_loss(&photos, splat, &placed, offset, args))
+}
 
-    let background = splat.settings.background;
-    let mut backend = device::open(args.machine.device().unwrap_or_default())?;
-    let mut score = |when: &str, mut splat: Splat| {
-        splat.settings.background = background;
-        backend.upload(splat.cloud.into())?;
-        let scores = evaluate_all(&mut backend, &scene.test, &splat.settings, None)?;
-        output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
-        anyhow::Ok(scores.psnr)
+/// What a loss is measured on.
+enum Photos {
+    /// All that are asked for.
+    Asked(Scene),
+    /// Some of a run's.
+    Sampled(Sample),
+}
+
+/// The photos of the scene that is named, or some of the run's, where something can be lost.
+fn photos(splat: &Splat, format: Format, args: &ConvertArgs) -> Result<Option<Photos>> {
+    let Some(data) = &args.data else {
+        let is_copy = format == Format::Ply && args.crop.is_none() && args.prune.is_none();
+        let is_whole = args.sh_degree.is_none_or(|degree| degree >= splat.settings.sh_degree);
+        let scene = if is_copy && is_whole { None } else { splat.sample_scene(PHOTOS) };
+        return Ok(scene.as_ref().and_then(Sample::of).map(Photos::Sampled));
     };
-    let before = score("before", splat)?;
-    let after = score("after", splat::open(&args.out)?)?;
-    output::print(&format!("lost   {:.2} dB", before - after))
+    let scene = splat.load_scene(data, &args.photos.asked()?)?;
+    check_test_photos(&args.splat, &scene)?;
+    ensure!(
+        !scene.test.is_empty(),
+        "{} has no test photos to measure a loss on; leave --data out",
+        scene.name
+    );
+    Ok(Some(Photos::Asked(scene)))
+}
+
+fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
+    if let Some(coarse) = splat::coarse_steps(step, cloud) {
+        output::tell(&format!("notice: {}: {coarse}", shown(file)));
+    }
+}
+
+/// What is up in the splat; only asked for where it counts.
+fn up(splat: &Splat, args: &ConvertArgs) -> Result<DVec3> {
+    if args.placement.up.is_none() {
+        return Ok(DVec3::NEG_Y);
+    }
+    let found = splat.up(args.data.as_deref(), &args.photos.asked()?)?;
+    let [x, y, z] = found.unwrap_or(DVec3::NEG_Y).to_array();
+    let of = if found.is_some() { "by the cameras" } else { "as files have it" };
+    output::tell(&format!("up was {x:.2} {y:.2} {z:.2}, {of}"));
+    Ok(DVec3::new(x, y, z))
+}
+
+/// What has been subtracted from the coordinates of the splat once it is placed. One that is turned or scaled
+/// is in other axes or units.
+fn offset_after(splat: &Splat, placed: &Similarity) -> Option<Offset> {
+    let by = splat.offset?;
+    if placed.scale == 1.0 && placed.rotation == DQuat::IDENTITY {
+        return Some((DVec3::from(by) - placed.translation).to_array());
+    }
+    let by = offset::in_words(by);
+    output::tell(&format!("notice: the offset {by} is of the axes before the turn, and is not kept"));
+    None
+}
+
+/// Renders the splat before, and what was written after, where it was before it was placed.
+fn say_loss(
+    photos: &Photos,
+    splat: Splat,
+    placed: &Similarity,
+    offset: Option<Offset>,
+    args: &ConvertArgs,
+) -> Result<()> {
+    let settings = splat.settings;
+    let mut backend = device::open(args.machine.device().unwrap_or_default())?;
+    backend.upload(splat.cloud.into())?;
+    let before = score(photos, &mut backend, "before", &settings)?;
+    let mut written = splat::open(&args.out)?;
+    // What is far from its origin is moved anew when it is read.
+    let moved = DVec3::from(written.offset.unwrap_or_default()) - DVec3::from(offset.unwrap_or_default());
+    Similarity { translation: moved, ..Similarity::default() }.apply(&mut written.cloud);
+    placed.inverse().apply(&mut written.cloud);
+    backend.upload(written.cloud.into())?;
+    let shown = RenderSettings { background: settings.background, ..written.settings };
+    let after = score(photos, &mut backend, "after", &shown)?;
+    match photos {
+        Photos::Asked(_) => output::print(&format!("lost   {:.2} dB", before - after)),
+        Photos::Sampled(sample) => sample.tell(before, after),
+    }
+}
+
+/// PSNR of what the device holds, dB.
+fn score(photos: &Photos, backend: &mut Device, when: &str, settings: &RenderSettings) -> Result<f64> {
+    match photos {
+        Photos::Asked(scene) => {
+            let scores = evaluate_all(backend, &scene.test, settings, None)?;
+            output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
+            Ok(scores.psnr)
+        }
+        Photos::Sampled(sample) => sample.psnr(backend, settings),
+    }
 }
 
 /// The Gaussians that can be shown; a notice counts the others.

@@ -145,7 +145,7 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
     let options = GalleryOptions { seed, views: VIEWS, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
-    scene::load(&Dataset::of(folder, &PhotosAsked::default()), [0.0; 3], seed, None)
+    scene::load(&Dataset::of(folder, &PhotosAsked::default()), [0.0; 3], seed, None, None)
 }
 
 struct Half {

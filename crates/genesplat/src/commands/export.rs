@@ -14,6 +14,7 @@ use genesplat::terminal::output;
 use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
 use genesplat::viewer::{Framing, Split};
 
+use super::loss::Sample;
 use crate::args::ExportArgs;
 
 /// Browsers tell a page by its name.
@@ -27,32 +28,39 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
-    let settings = splat.settings;
+    let (settings, offset) = (splat.settings, splat.offset);
     let options = Options {
         screen_filter: settings.filter,
         sh_degree: settings.sh_degree,
         spz_version: SpzVersion::V3,
+        offset: None,
     };
     let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options, &WriteBar::default())?;
     let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
     let framing = framing.unwrap_or_else(|| Framing::of_cloud(&splat.cloud));
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
-    let shots = match &scene {
-        Some(scene) => {
-            let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
-            backend.upload(splat.cloud.into())?;
-            shoot(scene, backend.as_mut(), &settings)?
-        }
-        None => Vec::new(),
-    };
+    let open = || device::open(args.splat.machine.device().unwrap_or_default());
+    let mut backend = scene.is_some().then(open).transpose()?;
+    let (mut shots, mut before) = (Vec::new(), None);
+    let sample = scene.as_ref().and_then(Sample::of);
+    if let (Some(scene), Some(backend)) = (&scene, &mut backend) {
+        backend.upload(splat.cloud.into())?;
+        shots = shoot(scene, backend.as_mut(), &settings)?;
+        before = sample.as_ref().map(|sample| sample.psnr(backend, &settings)).transpose()?;
+    }
     let page =
         Standalone { title: &title, spz: &spz, gaussians, settings: &settings, framing, shots: &shots }
             .html();
     files::write_file(&args.out, |out| out.write_all(page.as_bytes()))?;
+    splat::write_offset(&args.out, offset)?;
     let (count, views) = (thousands(gaussians), shots.len());
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
     let cameras = plural(views, "camera", "cameras");
-    output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))
+    output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))?;
+    let (Some(sample), Some(before), Some(mut backend)) = (sample, before, backend) else { return Ok(()) };
+    let written = format::parse(&args.out, Format::Spz, &spz)?;
+    let after = sample.psnr_of(&mut backend, written.cloud, &settings)?;
+    sample.tell(before, after)
 }
 
 fn cameras(scene: &Scene) -> Vec<Camera> {

@@ -8,6 +8,7 @@ mod evaluate;
 mod evaluate_pictures;
 mod export;
 mod inspect;
+mod loss;
 mod lpips_install;
 mod merge;
 mod poses;

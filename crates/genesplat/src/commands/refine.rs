@@ -59,6 +59,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
     let format = files::format_of(&args.out)?;
     format::write_told(&args.out, format, &outcome.cloud, &options, &WriteBar::default())?;
+    splat::write_offset(&args.out, splat.offset)?;
     splat::tell_losses(format, &outcome.cloud, splat.settings.filter);
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;

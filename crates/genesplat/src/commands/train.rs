@@ -16,7 +16,7 @@ use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{CLOUD, REPORT};
-use genesplat::run::{cluster, device, files, lpips, overwrite, preparing, scene};
+use genesplat::run::{cluster, device, files, inputs, lpips, overwrite, preparing, scene};
 use genesplat::terminal::interrupt;
 use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;
@@ -111,7 +111,8 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     }
     let background = config.train.background.fixed_colour();
     let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
-    let scene = scene::load(&config.dataset, background, config.train.seed, Some(spill))?;
+    let offset = if args.resume { inputs::offset(&args.out) } else { None };
+    let scene = scene::load(&config.dataset, background, config.train.seed, Some(spill), offset)?;
     // A run that goes on was begun all the same.
     scene::check_promising(&scene, args.anyway || args.resume)?;
     // Now, since weights that cannot be read should not stop a run at its end.

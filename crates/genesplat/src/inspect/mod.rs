@@ -6,6 +6,7 @@ mod photos;
 mod scene;
 mod splat;
 
+use genesplat::io::{Offset, offset};
 use serde::Serialize;
 
 pub(crate) use scene::inspect_scene;
@@ -26,6 +27,11 @@ impl Fact {
     fn new(name: &'static str, value: impl Into<serde_json::Value>, shown: impl Into<String>) -> Self {
         Self { name, value: value.into(), shown: shown.into() }
     }
+}
+
+/// Of what is far from its origin.
+fn offset(by: Offset) -> Fact {
+    Fact::new("offset", by.to_vec(), format!("{}, to be added to coordinates", offset::in_words(by)))
 }
 
 /// What `--json` writes; keys are fixed.

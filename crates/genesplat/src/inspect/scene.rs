@@ -11,7 +11,7 @@ use genesplat::train::{Schedule, TrainConfig};
 
 use super::cameras::{PointsSeen, points_seen};
 use super::cost::{Cost, estimate};
-use super::{Fact, Report, cameras, photos};
+use super::{Fact, Report, cameras, offset, photos};
 
 /// Iterations of a quick run, whose time is said beside that of the run that no flag changes.
 const QUICK: u32 = 7000;
@@ -24,6 +24,7 @@ pub(crate) fn inspect_scene(dataset: &Dataset, config: &TrainConfig) -> Result<R
     let list = list_scene(&dataset.path, &dataset.options())?;
     let mut facts = found(&scene, &views, &seen)?;
     facts.extend(lenses(&list.photos));
+    facts.extend(scene.digests.offset.map(offset));
     let no_extent =
         scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
     let notices = scene.notices.clone();

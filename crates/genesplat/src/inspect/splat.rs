@@ -13,7 +13,7 @@ use genesplat::run::numbers::{duration, thousands};
 use genesplat::run::session::has_checkpoint;
 use genesplat::run::splat::{self, Splat};
 
-use super::{Fact, Report};
+use super::{Fact, Report, offset};
 
 /// A Gaussian is invisible below this opacity: no pixel shows it.
 const INVISIBLE: f32 = 1.0 / 255.0;
@@ -25,7 +25,9 @@ const MANY_HUGE: f64 = 0.01;
 
 pub(crate) fn inspect_splat(path: &Path) -> Result<Report> {
     let splat = open(path)?;
-    let (facts, warnings) = look(&splat.cloud, splat.settings, path);
+    let (mut facts, mut warnings) = look(&splat.cloud, splat.settings, path);
+    facts.extend(splat.offset.map(offset));
+    warnings.extend(splat::coarse_steps(splat.step, &splat.cloud));
     Ok(Report { kind: "splat", facts, warnings })
 }
 
@@ -33,6 +35,7 @@ pub(crate) fn inspect_splat(path: &Path) -> Result<Report> {
 pub(crate) fn inspect_run(folder: &Path) -> Result<Report> {
     let splat = open(folder)?;
     let (mut facts, mut warnings) = look(&splat.cloud, splat.settings, &folder.join(CLOUD));
+    facts.extend(splat.offset.map(offset));
     match Metrics::read(folder) {
         Some(metrics) => facts.extend(figures(&metrics)),
         None => warnings.push("the run has no figures yet: it was stopped, or is still training".into()),

@@ -23,7 +23,7 @@ fn photo(x: usize) -> String {
 
 /// House fronts of 11 x 12 units in all, higher than they are wide, in three rows, and a photo of every unit
 /// of their width, 3 units before them. Photos 0 and 5 have masks, under the names of both conventions.
-fn write_street(folder: &Path) {
+pub(crate) fn write_street(folder: &Path) {
     let [width, height] = SIZE;
     let intrinsics =
         Intrinsics { width, height, focal_px: [24.0; 2], principal_px: [12.0, 48.0], lens: None };

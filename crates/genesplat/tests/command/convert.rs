@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use genesplat::core::Gaussians;
 use genesplat::core::gaussians::sigmoid;
+use genesplat::core::{Gaussians, Similarity};
+use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::format::{self, Format};
 use genesplat::io::{PlyOptions, write_ply};
+use glam::{DQuat, DVec3};
 use tempfile::TempDir;
 
-use crate::support::{fail, json, number, real_data, run, scene, succeed, text, train};
+use crate::support::{copy_scene, fail, json, number, real_data, run, scene, succeed, text, train};
 
 /// A short run that several tests look at.
 static RUN: LazyLock<TempDir> = LazyLock::new(|| {
@@ -69,6 +71,96 @@ fn a_run_becomes_every_format_and_each_is_measured_and_refined() {
         ]);
         assert_eq!(format::read(&refined).unwrap().format, format, "the name says what is written");
     }
+}
+
+/// Nobody asks, and the photos of the run are there.
+#[test]
+fn what_a_run_loses_is_said_by_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let run_folder = finished_run();
+    let lost = |said: &str| said.lines().find(|line| line.starts_with("lost")).map(str::to_owned);
+    let spz = folder.path().join("a.spz");
+    let line = lost(&succeed(["convert", text(&run_folder), text(&spz)])).unwrap();
+    assert!(line.contains("photos that training never saw: "), "{line}");
+    let before = psnr(&run_folder, scene());
+    assert!(line.contains(&format!("{before:.2} before, {:.2} after", psnr(&spz, scene()))), "{line}");
+    let page = succeed(["export", text(&run_folder), "--out", text(&folder.path().join("a.html"))]);
+    assert!(lost(&page).unwrap().contains(&format!("{before:.2} before")), "{page}");
+    // A copy loses nothing, and a file does not say which photos it shows.
+    let ply = folder.path().join("a.ply");
+    assert_eq!(lost(&succeed(["convert", text(&run_folder), text(&ply)])), None);
+    assert_eq!(lost(&succeed(["convert", text(&ply), text(&spz)])), None);
+    // Where the scene has gone, a sentence says so.
+    let (moved, copied) = (folder.path().join("scene"), folder.path().join("run"));
+    copy_scene(&moved);
+    succeed(train(&moved, &copied, &["--iterations", "3", "--no-lpips"]));
+    std::fs::remove_dir_all(&moved).unwrap();
+    let output = run(["convert", text(&copied), text(&spz)]);
+    let notice = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && notice.contains("what is lost is not measured"), "{notice}");
+    assert!(notice.contains("is not there; give --data SCENE"), "{notice}");
+    assert_eq!(lost(&String::from_utf8(output.stdout).unwrap()), None);
+}
+
+/// The scene with cameras that are turned, scaled and moved.
+fn write_moved(folder: &Path, by: &Similarity) {
+    copy_scene(folder);
+    let mut model = read_model(&find_model(folder).unwrap()).unwrap();
+    for image in &mut model.images {
+        let [w, x, y, z] = image.rotation;
+        let old = DQuat::from_xyzw(x, y, z, w).normalize();
+        let centre = by.point(old.inverse() * -DVec3::from(image.translation));
+        let new = old * by.rotation.inverse();
+        image.rotation = [new.w, new.x, new.y, new.z];
+        image.translation = (-(new * centre)).to_array();
+    }
+    write_model(&folder.join("sparse/0"), &model).unwrap();
+}
+
+/// Splat and cameras turned together show the same pictures, highlights too.
+#[test]
+fn a_splat_is_turned_scaled_and_moved_with_its_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let (run_folder, turned, moved, plain) =
+        (finished_run(), place("turned.ply"), place("moved"), place("plain.ply"));
+    let words = ["--rotate", "30,-70,110", "--scale", "1.5", "--translate", "-1,2,0.5"];
+    succeed(["convert", text(&run_folder), text(&turned)].iter().chain(&words));
+    let angles = [30.0f64, -70.0, 110.0].map(f64::to_radians);
+    let rotation = DQuat::from_rotation_z(angles[2])
+        * DQuat::from_rotation_y(angles[1])
+        * DQuat::from_rotation_x(angles[0]);
+    write_moved(&moved, &Similarity { rotation, scale: 1.5, translation: DVec3::new(-1.0, 2.0, 0.5) });
+    let before = psnr(&run_folder, scene());
+    assert!((psnr(&turned, &moved) - before).abs() < 0.005, "{before}");
+    // With harmonics as they were, pictures differ.
+    let mut wrong = format::read(&turned).unwrap().cloud;
+    wrong.sh = format::read(&run_folder.join("point_cloud.ply")).unwrap().cloud.sh;
+    write_ply(&plain, &wrong, &PlyOptions::default()).unwrap();
+    assert!(psnr(&plain, &moved) < before - 0.02, "{before}");
+    // The loss is measured where the splat was.
+    let spz = place("turned.spz");
+    let said = succeed(["convert", text(&run_folder), text(&spz)].iter().chain(&words));
+    assert!(figure(&said, "lost", 1).abs() < 0.05, "{said}");
+}
+
+#[test]
+fn up_is_what_cameras_have_as_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run_folder, out) = (finished_run(), folder.path().join("up.ply"));
+    let output = run(["convert", text(&run_folder), text(&out), "--up", "z"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("up was") && said.contains("by the cameras"), "{said}");
+    let file = run_folder.join("point_cloud.ply");
+    let output = run(["convert", text(&file), text(&out), "--up", "z"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("up was") && said.contains("as files have it"), "{said}");
+    let [before, after] = [&file, &out].map(|path| format::read(path).unwrap().cloud.positions);
+    let is_turned = before
+        .iter()
+        .zip(&after)
+        .all(|(a, b)| (b[2] + a[1]).abs() < 1e-4 && (b[0] - a[0]).abs() < 1e-4 && (b[1] - a[2]).abs() < 1e-4);
+    assert!(is_turned, "-y has become z: {:?} {:?}", before[0], after[0]);
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod convert;
 mod determinism;
 mod disk;
 mod foreign_folders;
+mod georeferenced;
 mod golden;
 mod hostile;
 mod inputs;

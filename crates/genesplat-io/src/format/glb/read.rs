@@ -47,7 +47,7 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
         return Err(FormatError::unsupported(path, problem));
     }
     half_turn_about_x(&mut cloud);
-    Ok(Decoded { cloud, sh_degree, screen_filter: None, is_2dgs: false })
+    Ok(Decoded { cloud, sh_degree, screen_filter: None, is_2dgs: false, offset: None })
 }
 
 /// The JSON and the binary part.

@@ -108,6 +108,17 @@ fn write_means(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians) -> Me
     Means { mins, maxs, files: [file(archive, "means_l.webp", 0), file(archive, "means_u.webp", 1)] }
 }
 
+/// The step of a coordinate whose magnitude is `far`, world units.
+pub(super) fn step(cloud: &Gaussians, far: f64) -> f64 {
+    let width = |axis: usize| {
+        let values = || cloud.positions.iter().map(|position| position[axis]);
+        let ends = [values().fold(f32::MAX, f32::min), values().fold(f32::MIN, f32::max)];
+        let [low, high] = ends.map(|end| f64::from(log_position(end)));
+        high - low
+    };
+    (0..3).map(width).fold(0.0, f64::max) / 65535.0 * (1.0 + far)
+}
+
 fn write_scales(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians) -> Coded {
     let codebook = Codebook::of(cloud.log_scales.as_flattened());
     let pixels = cloud.log_scales.iter().map(|log_scale| {
@@ -213,7 +224,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     let is_antialiased = meta.antialias || meta.model.as_deref() == Some(meta::ANTIALIASED);
     let screen_filter = if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic };
     let sh_degree = meta.sh_n.map_or(0, |palette| palette.bands);
-    Ok(Decoded { cloud, sh_degree, screen_filter: Some(screen_filter), is_2dgs: false })
+    Ok(Decoded { cloud, sh_degree, screen_filter: Some(screen_filter), is_2dgs: false, offset: None })
 }
 
 fn read_means(archive: &mut Archive, means: &Means, count: usize) -> Result<Vec<[f32; 3]>, FormatError> {

@@ -86,7 +86,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     }
     let is_antialiased = header.flags & FLAG_ANTIALIASED != 0;
     let screen_filter = Some(if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic });
-    Ok(Decoded { cloud, sh_degree: header.sh_degree, screen_filter, is_2dgs: false })
+    Ok(Decoded { cloud, sh_degree: header.sh_degree, screen_filter, is_2dgs: false, offset: None })
 }
 
 pub(super) fn encode(
@@ -117,4 +117,9 @@ pub(super) fn encode(
     let attributes = attributes::pack(&header, &cloud);
     container::close(&header, &attributes, progress)
         .map_err(|source| FormatError::Write { path: path.to_owned(), source })
+}
+
+/// The step of a coordinate, world units; that of whole numbers where even these do not fit.
+pub(super) fn step(cloud: &Gaussians) -> f64 {
+    attributes::fraction_bits(cloud).map_or(1.0, |bits| (-f64::from(bits)).exp2())
 }

@@ -11,6 +11,7 @@
 mod masks;
 mod robustness;
 mod stages;
+mod turned;
 mod update;
 
 use fearless_simd::Level;

@@ -62,7 +62,7 @@ impl Source {
     }
 
     fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
-        let scene = scene::load(&Dataset::of(data, &size.asked()), [0.0; 3], 0, None)?;
+        let scene = scene::load(&Dataset::of(data, &size.asked()), [0.0; 3], 0, None, None)?;
         let points = scene::points(&scene);
         Ok(Self { views: scene.train, settings: RenderSettings::default(), origin: Origin::Points(points) })
     }
