@@ -17,6 +17,7 @@
 
 pub mod config;
 mod density;
+pub mod floaters;
 pub mod method;
 mod optimiser_step;
 pub mod pipeline;

@@ -2,7 +2,7 @@
 
 pub mod filter_3d;
 pub mod initialise;
-mod nearest;
+pub(crate) mod nearest;
 pub mod surroundings;
 pub(crate) mod thin;
 pub mod views;

@@ -13,12 +13,19 @@ use crate::scene::initialise::NEIGHBOURS;
 /// `points` must be finite, and at least four.
 pub(crate) fn mean_squared_distances(points: &[[f32; 3]]) -> Vec<f32> {
     let tree = RTree::bulk_load(points.to_vec());
-    let mean = |point: &[f32; 3]| {
-        // The nearest is the point itself, or another at its place.
-        let others = tree.nearest_neighbor_iter_with_distance_2(point).skip(1).take(NEIGHBOURS);
-        others.map(|(_, squared)| squared).sum::<f32>() / NEIGHBOURS as f32
-    };
-    points.par_iter().map(mean).collect()
+    points.par_iter().map(|point| mean_squared_distance(&tree, point)).collect()
+}
+
+/// The same of some rows.
+pub(crate) fn mean_squared_distances_of(points: &[[f32; 3]], rows: &[u32]) -> Vec<f32> {
+    let tree = RTree::bulk_load(points.to_vec());
+    rows.par_iter().map(|&row| mean_squared_distance(&tree, &points[row as usize])).collect()
+}
+
+fn mean_squared_distance(tree: &RTree<[f32; 3]>, point: &[f32; 3]) -> f32 {
+    // The nearest is the point itself, or another at its place.
+    let others = tree.nearest_neighbor_iter_with_distance_2(point).skip(1).take(NEIGHBOURS);
+    others.map(|(_, squared)| squared).sum::<f32>() / NEIGHBOURS as f32
 }
 
 #[cfg(test)]

@@ -16,6 +16,7 @@ use choice::{FIXED_BACKGROUNDS, METHODS, SPLITS};
 
 mod blocks;
 mod choice;
+mod clean;
 mod convert;
 mod page;
 mod photos;
@@ -26,6 +27,7 @@ mod tests;
 mod train;
 
 pub(crate) use blocks::{MergeArgs, SplitArgs};
+pub(crate) use clean::CleanArgs;
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs};
@@ -96,6 +98,9 @@ pub(crate) enum Command {
     /// Make a finished splat of any trainer better: gradient steps, whose last states are averaged, or the
     /// genetic search
     Refine(RefineArgs),
+    /// Remove what no photo supports: Gaussians that none or one shows, right in front of cameras, or away from
+    /// everything
+    Clean(CleanArgs),
     /// List what this machine can train on, or test a graphics device against the CPU
     Devices(DevicesArgs),
     /// Print the manual page: genesplat man | man -l -

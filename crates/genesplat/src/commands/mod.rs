@@ -1,5 +1,6 @@
 //! One module a command.
 
+mod clean;
 mod convert;
 mod demo;
 mod device_test;
@@ -25,7 +26,7 @@ use std::path::Path;
 use anyhow::Result;
 use genesplat::flags::JsonArgs;
 use genesplat::run::files::format_of;
-use genesplat::run::overwrite::{Content, check_file};
+use genesplat::run::overwrite::{Content, check_existing, check_file};
 use genesplat::terminal::program::Ending;
 
 use crate::args::{Arguments, Command, ManArgs};
@@ -38,6 +39,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Poses(args) => return poses::run(&args),
         Command::Refine(args) => return refine::run(&args),
         Command::Render(args) => return render::run(&args),
+        Command::Clean(args) => clean::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::View(args) => view::run(&args),
@@ -72,6 +74,12 @@ fn check_outputs(command: &Command) -> Result<()> {
             let inputs = [Some(&*args.splat), args.config.as_deref(), args.photos.test_list()];
             check_file(&args.out, Content::Splat, &inputs)?;
             format_of(&args.out).map(drop)
+        }
+        Command::Clean(args) => {
+            let inputs = [Some(&*args.splat.path), args.splat.photos.test_list()];
+            check_file(&args.out, Content::Splat, &inputs)?;
+            format_of(&args.out)?;
+            check_existing(&clean::picture_of(&args.out), Content::Picture, &inputs)
         }
         Command::Convert(args) => {
             check_file(&args.out, Content::Splat, &[Some(&args.splat), args.photos.test_list()])

@@ -3,6 +3,7 @@
 mod bad_input;
 mod blocks;
 mod camera_path;
+mod clean;
 mod convert;
 mod determinism;
 mod disk;
