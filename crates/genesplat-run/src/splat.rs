@@ -146,10 +146,14 @@ fn open_by(read: Read, path: &Path) -> Result<Splat> {
 }
 
 fn open_run(read: Read, folder: &Path) -> Result<Splat> {
+    check_has_cloud(folder, &ConfigFile::of_run(folder)?)?;
+    of_run(folder, read_cloud(read, &folder.join(CLOUD))?.cloud)
+}
+
+/// A state of the run in `folder`.
+pub(crate) fn of_run(folder: &Path, cloud: Gaussians) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
-    check_has_cloud(folder, &config)?;
     let settings = config.train.resolve()?.render_settings();
-    let cloud = read_cloud(read, &folder.join(CLOUD))?.cloud;
     let inputs = Inputs::read(folder).unwrap_or_else(|error| {
         output::tell(&format!("notice: {error}"));
         None
