@@ -28,6 +28,7 @@ pub mod device;
 mod digest;
 mod failure;
 pub mod files;
+pub mod follow;
 pub mod inputs;
 pub mod live;
 pub mod lock;
@@ -49,6 +50,7 @@ pub mod settings;
 #[cfg(test)]
 mod small_scene;
 pub mod splat;
+pub mod take_along;
 mod tensorboard;
 mod test_curve;
 pub mod training;

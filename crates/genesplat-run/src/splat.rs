@@ -203,10 +203,15 @@ fn open_by(read: Read, path: &Path) -> Result<Splat> {
 }
 
 fn open_run(read: Read, folder: &Path) -> Result<Splat> {
-    let config = ConfigFile::of_run(folder)?;
-    check_has_cloud(folder, &config)?;
-    let settings = config.train.resolve()?.render_settings();
+    check_has_cloud(folder, &ConfigFile::of_run(folder)?)?;
     let Loaded { cloud, step, .. } = read_cloud(read, &folder.join(CLOUD))?;
+    of_run(folder, cloud, step)
+}
+
+/// A state of the run in `folder`.
+pub(crate) fn of_run(folder: &Path, cloud: Gaussians, step: f64) -> Result<Splat> {
+    let config = ConfigFile::of_run(folder)?;
+    let settings = config.train.resolve()?.render_settings();
     let inputs = Inputs::read(folder).unwrap_or_else(|error| {
         output::tell(&format!("notice: {error}"));
         None

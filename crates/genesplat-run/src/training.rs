@@ -1,6 +1,5 @@
 //! One run: from a loaded scene to a finished folder.
 
-use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -11,7 +10,7 @@ use genesplat_io::{Scene, command_line, shown};
 use genesplat_metrics::{Evaluation, Lpips};
 use genesplat_train::scene::initialise::scene_extent;
 use genesplat_train::{Checkpoint, Outcome, RunSummary, Start, train};
-use genesplat_viewer::{LiveView, Phase};
+use genesplat_viewer::{Address, LiveView, Phase};
 
 use super::inputs::Inputs;
 use super::log::Log;
@@ -22,6 +21,7 @@ use super::test_curve::TestCurve;
 use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
+use crate::live::Showing;
 use crate::output;
 use crate::output::Bar;
 use crate::report::curves::Curves;
@@ -42,7 +42,7 @@ pub struct Run<'a> {
     /// Set by Ctrl-C and SIGTERM.
     pub stop: &'a AtomicBool,
     /// Where a page shows the run while it trains.
-    pub page: Option<SocketAddr>,
+    pub page: Option<&'a Address>,
     /// Whether TensorBoard gets the curves.
     pub tensorboard: bool,
     /// The processes of the run, if there are several.
@@ -69,19 +69,27 @@ impl Run<'_> {
     /// Trains, saves, scores. What would end a run before its first step is found before an earlier one is
     /// replaced.
     pub fn execute(&self, session: &mut RunSession) -> Result<Ended> {
+        self.execute_shown(session).map(|(ended, _)| ended)
+    }
+
+    /// The same; of a whole run that a page shows, what goes on with showing it.
+    pub fn execute_shown(&self, session: &mut RunSession) -> Result<(Ended, Option<Showing>)> {
         let mut device = cluster::agree(self.cluster, self.check(session))?;
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
-            return Ok(Ended::NotBegun);
+            return Ok((Ended::NotBegun, None));
         }
-        let live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
+        let mut live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
         let load = self.began.elapsed().as_secs_f64();
         let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
         let start = checkpoint.map_or_else(
             || Start::Points(scene::points(self.scene)),
             |checkpoint| Start::Checkpoint(Box::new(checkpoint)),
         );
-        let ended = self.train(session, &mut device, start, log, live, load);
-        ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
+        let ended = self.train(session, &mut device, start, log, live.as_mut(), load);
+        let ended = ended.map_err(|error| failure::explain(error, session.path(), session.caller()))?;
+        let settings = self.settings.schedule.render_settings();
+        let live = live.filter(|_| matches!(ended, Ended::Whole(_)));
+        Ok((ended, live.map(|live| Showing { live, device, settings })))
     }
 
     fn check(&self, session: &mut RunSession) -> Result<Device> {
@@ -118,7 +126,7 @@ impl Run<'_> {
         device: &mut Device,
         start: Start,
         log: Option<Log>,
-        mut live: Option<LiveView>,
+        mut live: Option<&mut LiveView>,
         load: f64,
     ) -> Result<Ended> {
         let seconds_before = match &start {
@@ -129,7 +137,7 @@ impl Run<'_> {
         let schedule = &settings.schedule;
         let curve = TestCurve::new(&scene.test, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
-        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_mut(), asked);
+        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
@@ -139,7 +147,7 @@ impl Run<'_> {
         saved?;
         drop(cloud);
         reporter.into_result()?;
-        if let Some(live) = &mut live {
+        if let Some(live) = live {
             live.set_phase(Phase::Scoring);
         }
         self.conclude(session, device, summary, load, seconds_before)

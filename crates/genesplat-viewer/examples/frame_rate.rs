@@ -48,7 +48,7 @@ fn main() {
     let server = thread::spawn(move || {
         let cloud = cloud(gaussians);
         let scene_views = SceneViews::new("frame rate", &[], &[], Some(&cloud));
-        let address = ([127, 0, 0, 1], 0).into();
+        let address = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
         let mut live =
             LiveView::start(address, scene_views, false, Box::new(CpuBackend::new())).expect("a port");
         let mut backend = CpuBackend::new();
@@ -56,7 +56,8 @@ fn main() {
         sender.send(live.url()).expect("it is awaited");
         let mut renderer =
             CloudRenderer::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
-        live.serve_until(&mut renderer, || OVER.load(Ordering::Relaxed));
+        let mut no_files = |_, _: &mut CloudRenderer<'_>| Err("no files here".into());
+        live.serve_until(&mut renderer, &mut no_files, |_| OVER.load(Ordering::Relaxed));
     });
     let mut page = connect(&receiver.recv().expect("a URL"));
     for mode in ["colour", "depth", "count", "points", "ellipses"] {

@@ -24,7 +24,8 @@ export class Connection {
 
   #open() {
     const address = new URL("socket", location.href);
-    address.protocol = "ws:";
+    // Behind a proxy with TLS a browser allows no other.
+    address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
     this.#socket = new WebSocket(address);
     this.#socket.binaryType = "arraybuffer";
     this.#socket.onmessage = ({ data }) => this.#hear(data);

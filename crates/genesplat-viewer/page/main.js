@@ -33,7 +33,7 @@ const path = new CameraPath(
 );
 const connection = new Connection({
   hello,
-  state: (state) => { status.show(state); stage.target = state.phase === "training" ? 15 : 40; },
+  state: (state) => { status.show(state); showPhase(state.phase); },
   curves: (curves) => charts.show(curves),
   notice: ({ text }) => status.notice(text),
   picture: (header, blob) => stage.show(header, blob),
@@ -57,6 +57,12 @@ function hello(message) {
   }
   isFirst = false;
   stage.reconnect();
+}
+
+function showPhase(phase) {
+  stage.target = phase === "training" ? 25 : 40;
+  $("waiting").textContent = phase === "waiting" ? "The run has saved nothing yet; it is shown when it has" : "Waiting for the first picture";
+  $("rendering").textContent = phase === "scoring" ? "photos are scored; the picture waits" : "rendering";
 }
 
 function reset() {

@@ -10,8 +10,16 @@ const QUALITY = { moving: 68, still: 90 };
 const FACTOR = { least: 0.25, most: 1 };
 const FRUSTUM_SIZE = 0.045;
 const CLICK_RADIUS_PX = 16;
+// A picture that takes longer is said to be on its way.
+const SLOW_MS = 250;
 // The server draws no wider views.
 const FOV_Y_MAX = 2.8;
+
+// Whether a picture of these sides has another shape than the box that it is shown in, by more than its sides are rounded.
+export function isApart([width, height], [boxWidth, boxHeight]) {
+  const expected = (width * boxHeight) / boxWidth;
+  return Math.abs(height - expected) > 1.5 * Math.max(1, boxHeight / boxWidth);
+}
 
 export class Stage {
   renderMode = "colour";
@@ -35,6 +43,8 @@ export class Stage {
   #lastStill = 0;
   // When the look was sent that has no picture yet.
   #sentAt = -Infinity;
+  // When the first look was sent since the last picture.
+  #awaitedSince = null;
   #shown = { picture: 0, error: 0 };
   #arrivals = [];
   #pose;
@@ -47,7 +57,7 @@ export class Stage {
     this.#onPicture = onPicture;
     this.#frame = element.querySelector("#frame");
     const layer = (name) => element.querySelector(`#${name}`);
-    this.#layers = { picture: layer("picture"), error: layer("error"), photo: layer("photo"), overlay: layer("overlay"), divider: layer("divider") };
+    this.#layers = { picture: layer("picture"), error: layer("error"), photo: layer("photo"), overlay: layer("overlay"), divider: layer("divider"), rendering: layer("rendering") };
     new ResizeObserver(() => this.moved(this.#pose)).observe(element);
   }
 
@@ -83,12 +93,16 @@ export class Stage {
   // A new connection knows nothing of what the old one was asked for.
   reconnect() {
     this.#sentAt = -Infinity;
+    this.#awaitedSince = null;
     this.refresh();
   }
 
   // Called before each repaint.
   tick(now) {
     if (!this.#pose) return;
+    const isLate = this.#awaitedSince !== null && now - this.#awaitedSince > SLOW_MS;
+    const badge = this.#layers.rendering;
+    if (badge.hidden === isLate) badge.hidden = !isLate;
     const isMoving = now - this.#movedAt < REST_MS;
     const isFree = now - this.#sentAt > RESEND_MS;
     const wants = this.#isDirty || (!isMoving && !this.#isSharp);
@@ -101,6 +115,7 @@ export class Stage {
     this.#sequence += 1;
     if (!isMoving) this.#lastStill = this.#sequence;
     this.#sentAt = now;
+    this.#awaitedSince ??= now;
     this.#isDirty = false;
     this.#isSharp = !isMoving;
     this.#send({
@@ -127,6 +142,7 @@ export class Stage {
   async show(header, blob) {
     // A picture that is slow answers a look that newer ones have followed. One that was asked for at rest is large.
     if (!header.error && header.sequence > this.#lastStill) this.#adapt(header.milliseconds);
+    if (!header.error) this.#awaitedSince = header.sequence === this.#sequence ? null : performance.now();
     if (!header.error && header.sequence === this.#sequence) this.#sentAt = -Infinity;
     const image = await createImageBitmap(blob);
     const kind = header.error ? "error" : "picture";
@@ -135,6 +151,7 @@ export class Stage {
     const canvas = this.#layers[kind];
     [canvas.width, canvas.height] = [image.width, image.height];
     canvas.getContext("2d").drawImage(image, 0, 0);
+    this.#fit();
     if (header.error) return;
     const now = performance.now();
     this.#arrivals = [...this.#arrivals.filter((at) => now - at < 2000), now];
@@ -165,6 +182,17 @@ export class Stage {
     style.height = `${fitted / shape}px`;
     style.left = `${(width - fitted) / 2}px`;
     style.top = `${(height - fitted / shape) / 2}px`;
+    this.#fit();
+  }
+
+  // No picture is stretched.
+  #fit() {
+    const { picture, error, photo } = this.#layers;
+    const { width, height } = this.#frame.getBoundingClientRect();
+    const sides = (layer) => (layer === photo ? [photo.naturalWidth, photo.naturalHeight] : [layer.width, layer.height]);
+    for (const layer of [picture, error, photo]) {
+      if (sides(layer)[0] > 0) layer.classList.toggle("apart", isApart(sides(layer), [width, height]));
+    }
   }
 
   // 0 is the photo, 1 the render, 2 the error; between them, the right one grows from the left.

@@ -8,8 +8,18 @@ const PHASES = {
   scoring: "scoring photos",
   ended: "finished",
   viewing: "finished splat",
+  following: "training, as last saved",
+  waiting: "training, nothing saved yet",
   lost: "connection lost, trying again",
 };
+
+// How long is left, in words that are as exact as can be known.
+export function timeLeft(seconds) {
+  if (seconds < 90) return `${Math.ceil(seconds)} s left`;
+  if (seconds < 3600) return `${Math.round(seconds / 60)} min left`;
+  const minutes = Math.round(seconds / 60);
+  return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")} min left`;
+}
 
 export class Status {
   phase = "connecting";
@@ -22,6 +32,9 @@ export class Status {
     this.#at("snapshot").addEventListener("click", () => send({ type: "snapshot" }));
     const dialog = this.#at("stop-dialog");
     this.#at("stop").addEventListener("click", () => dialog.showModal());
+    for (const id of ["download-splat", "download-page"]) {
+      this.#at(id).addEventListener("click", () => this.notice("The file is being made, and comes as a download."));
+    }
     dialog.addEventListener("close", () => { if (dialog.returnValue === "stop") send({ type: "stop" }); dialog.returnValue = ""; });
   }
 
@@ -29,9 +42,11 @@ export class Status {
     this.#at("title").textContent = title;
     document.title = `${title} – genesplat`;
     this.#at("run-actions").hidden = !can_train;
+    this.#at("download-splat").download = `${title}.ply`;
+    this.#at("download-page").download = `${title}.html`;
   }
 
-  show({ phase, iteration, iterations, gaussians, loss, psnr, device, snapshot_wait }) {
+  show({ phase, iteration, iterations, gaussians, loss, psnr, device, snapshot_wait, seconds_left = null, can_download = false }) {
     this.#snapshotWait = snapshot_wait;
     this.setPhase(phase);
     this.#showSnapshot();
@@ -43,6 +58,11 @@ export class Status {
     this.#text("loss", loss === null ? "–" : loss.toFixed(4));
     this.#text("psnr", psnr === null ? "–" : `${psnr.toFixed(2)} dB`);
     this.#text("device", device);
+    const isTraining = phase === "training" || phase === "following";
+    this.#text("left", isTraining && seconds_left !== null ? timeLeft(seconds_left) : "");
+    this.#at("downloads").hidden = !can_download;
+    // Who came while the run trained sees no buttons that do nothing.
+    if (phase === "viewing") this.#at("run-actions").hidden = true;
     const progress = this.#at("progress");
     progress.hidden = !iterations;
     progress.value = iterations ? iteration / iterations : 0;

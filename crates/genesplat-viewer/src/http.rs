@@ -26,6 +26,10 @@ pub(crate) enum Status {
     NotGet,
     TooLong,
     Busy,
+    /// The run still trains.
+    NotYet,
+    /// A file could not be made; pages are told why.
+    NotMade,
 }
 
 impl Status {
@@ -36,7 +40,8 @@ impl Status {
             Self::NotFound => "404 Not Found",
             Self::NotGet => "405 Method Not Allowed",
             Self::TooLong => "431 Request Header Fields Too Large",
-            Self::Busy => "503 Service Unavailable",
+            Self::Busy | Self::NotMade => "503 Service Unavailable",
+            Self::NotYet => "409 Conflict",
         }
     }
 }
@@ -102,21 +107,29 @@ pub(crate) fn refuse(stream: &mut impl Write, status: Status) -> io::Result<()> 
     let sentence = match status {
         Status::Busy => "Too many pages are open; close one.",
         Status::Forbidden => {
-            "Open the address that genesplat printed, by this machine's IP number, not by its name."
+            "Open the address that genesplat printed, by this machine's IP number, not by its name; \
+             a name, as of a proxy or tunnel, is let in by --view-host NAME."
         }
+        Status::NotYet => "The run still trains; its Snapshot button saves the splat.",
+        Status::NotMade => "The file could not be made; the page says why.",
         _ => "There is nothing here. Open the whole address that genesplat printed.",
     };
     write_response(stream, status.line(), "text/plain; charset=utf-8", sentence.as_bytes())
 }
 
 fn write_response(stream: &mut impl Write, status: &str, kind: &str, body: &[u8]) -> io::Result<()> {
-    let head = format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\n{HEADERS}\r\n",
-        body.len()
-    );
-    stream.write_all(head.as_bytes())?;
+    stream.write_all(head(status, kind, body.len()).as_bytes())?;
     stream.write_all(body)?;
     stream.flush()
+}
+
+fn head(status: &str, kind: &str, bytes: usize) -> String {
+    format!("HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {bytes}\r\n{HEADERS}\r\n")
+}
+
+/// The head of a file that browsers save and never show: a page that came from here could read the token.
+pub(crate) fn attachment_head(bytes: usize) -> String {
+    head("200 OK", "application/octet-stream\r\nContent-Disposition: attachment", bytes)
 }
 
 #[cfg(test)]
@@ -149,7 +162,9 @@ mod tests {
         let mut answer = Vec::new();
         refuse(&mut answer, Status::Forbidden).unwrap();
         assert!(
-            String::from_utf8(answer).unwrap().ends_with("by this machine's IP number, not by its name.")
+            String::from_utf8(answer)
+                .unwrap()
+                .ends_with("a name, as of a proxy or tunnel, is let in by --view-host NAME.")
         );
     }
 }

@@ -96,6 +96,9 @@ impl Hub {
         }
         let (id, served) = (inner.next_id, inner.served);
         inner.next_id += 1;
+        // What was said before is over.
+        let mut told = [0; TOPICS];
+        told[Topic::Notice as usize] = inner.board[Topic::Notice as usize].0;
         inner.pages.push(Page {
             id,
             look: None,
@@ -104,7 +107,7 @@ impl Hub {
             served,
             pictures: Vec::new(),
             is_busy: false,
-            told: [0; TOPICS],
+            told,
         });
         self.pages.store(inner.pages.len(), Ordering::Relaxed);
         self.asked.notify_all();
@@ -315,6 +318,7 @@ mod tests {
     fn texts_are_told_once_and_only_the_last_of_a_topic() {
         let hub = Hub::default();
         hub.post(Topic::State, "1");
+        hub.post(Topic::Notice, "of before a reload");
         let id = hub.enter().unwrap();
         hub.post(Topic::State, "2");
         hub.post(Topic::Notice, "x");

@@ -15,6 +15,7 @@
 //! | `server` | threads, time-outs, and caps on all that a stranger can make grow |
 //! | `places` | how many connections there may be, of strangers and of those who have shown the token |
 //! | `gate` | who is let in: the token of the address, Host and Origin |
+//! | `downloads` | the splat and the page to send, made when a page asks for them |
 //!
 //! The server reads no file: pages are part of the program, photos are in memory.
 
@@ -23,6 +24,7 @@ mod budget;
 pub mod bytes;
 mod clock;
 mod curves;
+mod downloads;
 mod framing;
 mod gate;
 mod http;
@@ -40,8 +42,10 @@ mod socket;
 pub mod standalone;
 
 pub use budget::Budget;
+pub use downloads::Download;
 pub use framing::Framing;
-pub use live::{LiveView, Owner, Phase};
+pub use gate::Address;
+pub use live::{LiveView, Maker, Owner, Phase};
 pub use scene_views::{SceneViews, Split};
 
 /// Why there is no page.

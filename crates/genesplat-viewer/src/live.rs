@@ -1,6 +1,5 @@
 //! The page of one run: what its owner tells it, and the pictures that are due between two steps.
 
-use std::net::SocketAddr;
 use std::time::Duration;
 
 use genesplat_core::constants::NEAR_DEPTH;
@@ -12,6 +11,8 @@ use crate::ViewerError;
 use crate::budget::Budget;
 use crate::clock::Clock;
 use crate::curves::Curve;
+use crate::downloads::Download;
+use crate::gate::Address;
 use crate::hub::{Hub, Picture, Topic};
 use crate::message::{Look, PictureHeader, notice};
 use crate::picture::{ERROR_MAX, error_picture};
@@ -26,6 +27,10 @@ const CURVES_EVERY: f64 = 2.0;
 const SNAPSHOT_EVERY: f64 = 10.0;
 /// A thread that waits for pages looks so often whether it shall end.
 const WAIT: Duration = Duration::from_millis(100);
+/// A page that asks for nothing new for so long does not move any more, seconds.
+const QUIET: f64 = 0.3;
+/// Between two of its pictures it is looked so often for the next.
+const MOVE_WAIT: Duration = Duration::from_millis(10);
 
 /// What a run is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -39,9 +44,16 @@ pub enum Phase {
     Scoring,
     /// Its process ends.
     Ended,
-    /// There is no run, or it has ended long ago.
+    /// There is no run, or it has ended.
     Viewing,
+    /// Another process trains; what it has saved last is shown.
+    Following,
+    /// The same, and nothing is saved yet.
+    Waiting,
 }
+
+/// Makes a file that a page asks for, of what the renderer holds; a sentence where it cannot.
+pub type Maker<'a> = &'a mut dyn FnMut(Download, &mut CloudRenderer<'_>) -> Result<Vec<u8>, String>;
 
 /// Who trains, and can be asked to save or to stop.
 pub trait Owner {
@@ -63,6 +75,10 @@ struct State {
     gaussians: usize,
     loss: Option<f32>,
     psnr: Option<f64>,
+    /// Until training ends, as far as that can be reckoned.
+    seconds_left: Option<f64>,
+    /// The splat and a page to send can be had.
+    can_download: bool,
     /// Until the next snapshot may be saved, whole seconds.
     snapshot_wait: u32,
 }
@@ -104,10 +120,10 @@ pub struct LiveView {
 }
 
 impl LiveView {
-    /// Serves at `address`; port 0 takes any that is free. Without `can_train` the page has no buttons that
+    /// Serves at `address`. Without `can_train` the page has no buttons that
     /// steer a run.
     pub fn start(
-        address: SocketAddr,
+        address: impl Into<Address>,
         scene_views: SceneViews,
         can_train: bool,
         mode_device: Box<dyn Device>,
@@ -121,9 +137,11 @@ impl LiveView {
             gaussians: 0,
             loss: None,
             psnr: None,
+            seconds_left: None,
+            can_download: false,
             snapshot_wait: 0,
         };
-        let server = Server::start(address, scene_views, can_train)?;
+        let server = Server::start(address.into(), scene_views, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
         let posted = [f64::NEG_INFINITY; 2];
         let mut view = Self { server, clock, budget, state, curves, posted, saved: None, mode_device };
@@ -156,8 +174,14 @@ impl LiveView {
         }
     }
 
-    /// What an earlier process has logged: points of `[iteration, value]`.
+    /// How long training will take from here, as far as that can be reckoned.
+    pub fn set_seconds_left(&mut self, seconds: Option<f64>) {
+        self.state.seconds_left = seconds;
+    }
+
+    /// What an earlier process, or another one, has logged so far: points of `[iteration, value]`.
     pub fn replay(&mut self, loss: &[[f64; 2]], psnr: &[[f64; 2]], gaussians: &[[f64; 2]]) {
+        self.curves = Curves::default();
         let Curves { loss: a, psnr: b, gaussians: c, .. } = &mut self.curves;
         for (curve, points) in [(a, loss), (b, psnr), (c, gaussians)] {
             points.iter().for_each(|&point| curve.push(point));
@@ -179,7 +203,7 @@ impl LiveView {
     }
 
     /// A sentence that pages show.
-    pub fn notice(&mut self, text: &str) {
+    pub fn notice(&self, text: &str) {
         self.hub().post(Topic::Notice, &notice(text));
     }
 
@@ -198,22 +222,26 @@ impl LiveView {
         }
         let encoding = self.hub().take_encoding_seconds();
         if encoding > 0.0 {
-            self.budget.spend(now, encoding);
+            self.budget.spend_on_encoding(encoding);
         }
         self.post(false);
         let is_asked = self.hub().requests() != Default::default();
-        is_asked || (self.budget.allows_new() && self.hub().is_awaited(self.budget.allows_refresh(now)))
+        is_asked || self.is_picture_due(now)
     }
 
-    /// Does what is due: a picture; what a page has asked of `owner`; and waits while pages want the run to
+    fn is_picture_due(&self, now: f64) -> bool {
+        (self.budget.allows_new() && self.hub().is_awaited(false))
+            || (self.budget.allows_refresh(now) && self.hub().is_awaited(true))
+    }
+
+    /// Does what is due: pictures; what a page has asked of `owner`; and waits while pages want the run to
     /// wait.
     pub fn attend(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
-        if self.budget.allows_new() {
-            let began = self.clock.seconds();
-            if self.serve(renderer, self.budget.allows_refresh(began)) {
-                let now = self.clock.seconds();
-                self.budget.spend(now, now - began);
-            }
+        self.follow_movements(renderer, owner);
+        let began = self.clock.seconds();
+        if self.budget.allows_refresh(began) && self.serve(renderer, true) {
+            let now = self.clock.seconds();
+            self.budget.spend(now, now - began);
         }
         self.grant(renderer, owner);
         if self.hub().requests().paused && !owner.is_stopped() {
@@ -221,15 +249,64 @@ impl LiveView {
         }
     }
 
-    /// Shows a finished splat until `is_over`.
-    pub fn serve_until(&mut self, renderer: &mut CloudRenderer<'_>, is_over: impl Fn() -> bool) {
+    /// While somebody moves, pictures come one after the other, and training waits, as long as it may.
+    fn follow_movements(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
+        let (mut before, mut moved) = (self.clock.seconds(), None);
+        while self.budget.allows_new() && !owner.is_stopped() {
+            let is_new = self.serve(renderer, false);
+            let now = self.clock.seconds();
+            if is_new {
+                moved = Some(now);
+            }
+            let Some(moved) = moved else { return };
+            self.budget.spend_on_movement(now, now - before);
+            before = now;
+            if now - moved > QUIET {
+                return;
+            }
+            if !is_new {
+                self.hub().wait(MOVE_WAIT);
+            }
+        }
+    }
+
+    /// Shows a cloud that nothing changes, and makes files of it, until `is_over`, which hears whether
+    /// anybody looks.
+    pub fn serve_until(
+        &mut self,
+        renderer: &mut CloudRenderer<'_>,
+        make: Maker<'_>,
+        mut is_over: impl FnMut(bool) -> bool,
+    ) {
         self.hub().cloud_has_changed();
-        self.post(true);
-        while !is_over() {
-            if !self.serve(renderer, true) {
+        self.open_downloads(self.state.gaussians > 0);
+        while !is_over(self.is_watched()) {
+            if let Some(download) = self.server.shared.downloads.wanted() {
+                self.make(download, renderer, &mut *make);
+            } else if !self.serve(renderer, true) {
                 self.hub().wait(WAIT);
             }
         }
+        self.open_downloads(false);
+    }
+
+    fn open_downloads(&mut self, is_open: bool) {
+        self.server.shared.downloads.set_open(is_open);
+        self.state.can_download = is_open;
+        self.post(true);
+    }
+
+    fn make(&self, download: Download, renderer: &mut CloudRenderer<'_>, make: Maker<'_>) {
+        let made = make(download, renderer);
+        if let Err(sentence) = &made {
+            self.notice(sentence);
+        }
+        self.server.shared.downloads.answer(download, made.ok());
+    }
+
+    /// A page is open, or was a moment ago, or a file is on its way.
+    fn is_watched(&self) -> bool {
+        !self.hub().is_deserted() || self.server.shared.downloads.is_busy()
     }
 
     /// Nothing is trained: pictures have all the time, until pages want the run to go on, or all of them are

@@ -9,8 +9,9 @@ use std::time::{Duration, Instant};
 use tungstenite::handshake::derive_accept_key;
 
 use crate::ViewerError;
-use crate::gate::Gate;
-use crate::http::{Request, Status, read_request, refuse, respond};
+use crate::downloads::{Download, Downloads};
+use crate::gate::{Address, Gate};
+use crate::http::{Request, Status, attachment_head, read_request, refuse, respond};
 use crate::hub::Hub;
 use crate::page::part;
 use crate::places::{Place, Places};
@@ -21,6 +22,8 @@ use crate::socket::{self, TimedStream};
 const REQUEST_WAIT: Duration = Duration::from_secs(4);
 /// How long pages are waited for when the server ends.
 const CLOSE_WAIT: Duration = Duration::from_secs(1);
+/// A file is sent in pieces of so many bytes, each of which may take as long as a message.
+const PIECE: usize = 1 << 16;
 /// After a failure to accept, which is most often a lack of files.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
@@ -30,6 +33,7 @@ pub(crate) struct Shared {
     pub(crate) scene_views: SceneViews,
     /// The page has buttons that steer a training run.
     pub(crate) can_train: bool,
+    pub(crate) downloads: Downloads,
     gate: Gate,
     places: Arc<Places>,
 }
@@ -43,16 +47,17 @@ pub(crate) struct Server {
 
 impl Server {
     pub(crate) fn start(
-        address: SocketAddr,
+        Address { socket: address, hosts }: Address,
         scene_views: SceneViews,
         can_train: bool,
     ) -> Result<Self, ViewerError> {
         let listen = |source| ViewerError::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
-        let gate = Gate::new(address.ip())?;
+        let gate = Gate::new(address.ip(), hosts)?;
         let (hub, places) = (Hub::default(), Arc::default());
-        let shared = Arc::new(Shared { hub, scene_views, can_train, gate, places });
+        let shared =
+            Arc::new(Shared { hub, scene_views, can_train, downloads: Downloads::default(), gate, places });
         let of_thread = shared.clone();
         let acceptor = thread::Builder::new()
             .name("viewer".into())
@@ -74,6 +79,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.shared.hub.close();
+        self.shared.downloads.set_open(false);
         // Wakes the thread that accepts.
         let _ = TcpStream::connect_timeout(
             &SocketAddr::new(reachable(self.address.ip()), self.address.port()),
@@ -166,10 +172,33 @@ fn converse(stream: TcpStream, shared: &Shared, place: &mut Place) -> std::io::R
     if let Some((kind, content)) = part(path) {
         return respond(&mut timed, kind, content.as_bytes());
     }
+    if let Some(download) = Download::named(path) {
+        return match shared.downloads.ask(download) {
+            Ok(parcel) => send(&mut timed, parcel.bytes()),
+            Err(status) => refuse_late(&mut timed, status),
+        };
+    }
     match picture(path, &shared.scene_views) {
         Some(jpeg) => respond(&mut timed, "image/jpeg", &jpeg),
         None => refuse(&mut timed, Status::NotFound),
     }
+}
+
+/// A file of any size, as long as it is taken.
+fn send(stream: &mut TimedStream, file: &[u8]) -> std::io::Result<()> {
+    stream.allow_writes();
+    stream.write_all(attachment_head(file.len()).as_bytes())?;
+    for piece in file.chunks(PIECE) {
+        stream.allow_writes();
+        stream.write_all(piece)?;
+    }
+    stream.flush()
+}
+
+/// After a wait that was ours.
+fn refuse_late(stream: &mut TimedStream, status: Status) -> std::io::Result<()> {
+    stream.allow_writes();
+    refuse(stream, status)
 }
 
 /// A request must be whole by a deadline, not just each of its pieces.

@@ -43,7 +43,8 @@ impl TimedStream {
         Ok(Self { stream, write_by: Instant::now() + write_wait })
     }
 
-    fn allow_writes(&mut self) {
+    /// Whoever takes something has time for more.
+    pub(crate) fn allow_writes(&mut self) {
         self.write_by = Instant::now() + WRITE_WAIT;
     }
 }

@@ -75,6 +75,11 @@ fn a_browser_that_is_too_old_for_a_sent_page_says_so() {
 }
 
 #[test]
+fn pictures_keep_their_shape_and_late_ones_are_announced() {
+    run("letterbox");
+}
+
+#[test]
 fn the_button_for_a_snapshot_counts_down() {
     run("snapshot");
 }

@@ -1,6 +1,6 @@
 //! What a page may save: one file in some seconds, however often it asks.
 
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::thread;
@@ -32,7 +32,8 @@ impl Owner for Counter<'_> {
 /// A run whose steps take no time, until it is stopped.
 fn run(saved: &AtomicUsize, stop: &AtomicBool, url: &mpsc::Sender<String>) {
     let (scene_views, mode_backend) = (SceneViews::new("test", &[], &[], None), Box::new(CpuBackend::new()));
-    let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), scene_views, true, mode_backend).unwrap();
+    let mut live =
+        LiveView::start(SocketAddr::from(([127, 0, 0, 1], 0)), scene_views, true, mode_backend).unwrap();
     let mut backend = CpuBackend::new();
     backend.upload(cloud(10).into()).unwrap();
     let mut renderer =

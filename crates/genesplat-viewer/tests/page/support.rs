@@ -1,7 +1,7 @@
 //! A page with a splat behind it, and clients that behave as they should, or do not.
 
 use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use genesplat_core::{CloudRenderer, Device, Gaussians, RenderSettings, Rng, Stream};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{LiveView, SceneViews};
+use genesplat_viewer::{Download, LiveView, SceneViews};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
@@ -48,14 +48,24 @@ impl Show {
             let scene_views = SceneViews::new("test", &[], &[], Some(&cloud));
             let mode_device = Box::new(CpuBackend::new());
             let mut live =
-                LiveView::start(([127, 0, 0, 1], 0).into(), scene_views, false, mode_device).unwrap();
+                LiveView::start(SocketAddr::from(([127, 0, 0, 1], 0)), scene_views, false, mode_device)
+                    .unwrap();
             let mut backend = CpuBackend::new();
             backend.upload(cloud.into()).unwrap();
             sender.send(live.url()).unwrap();
             let settings = RenderSettings { sh_degree: 0, ..RenderSettings::default() };
-            live.serve_until(&mut CloudRenderer::new(&mut backend, settings), || {
-                of_thread.load(Ordering::Relaxed)
-            });
+            live.begin("test", gaussians, 0);
+            live.serve_until(
+                &mut CloudRenderer::new(&mut backend, settings),
+                &mut |download, renderer| {
+                    let gaussians = renderer.cloud().map_err(|error| error.to_string())?.len();
+                    match download {
+                        Download::Splat => Ok(vec![b'x'; 1000 * gaussians]),
+                        Download::Page => Err("no page today".into()),
+                    }
+                },
+                |_| of_thread.load(Ordering::Relaxed),
+            );
         });
         Self { url: receiver.recv().unwrap(), stop, thread: Some(thread) }
     }

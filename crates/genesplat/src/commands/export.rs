@@ -4,15 +4,11 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Result, ensure};
-use genesplat::core::{Camera, RenderSettings, Renderer, View};
-use genesplat::io::format::{self, Options, SpzVersion};
-use genesplat::io::{Format, Scene, ending, plural, shown};
+use genesplat::core::CloudRenderer;
+use genesplat::io::{Format, Scene, ending, format, plural, shown};
 use genesplat::run::numbers::thousands;
-use genesplat::run::output::{Bar, WriteBar};
-use genesplat::run::{device, files, splat};
+use genesplat::run::{device, files, splat, take_along};
 use genesplat::terminal::output;
-use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
-use genesplat::viewer::{Framing, Split};
 
 use super::loss::Sample;
 use crate::args::ExportArgs;
@@ -29,42 +25,32 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
     let (settings, offset) = (splat.settings, splat.offset);
-    let options = Options {
-        screen_filter: settings.filter,
-        sh_degree: settings.sh_degree,
-        spz_version: SpzVersion::V3,
-        offset: None,
-    };
-    let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options, &WriteBar::default())?;
-    let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
-    let framing = framing.unwrap_or_else(|| Framing::of_cloud(&splat.cloud));
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
-    let open = || device::open(args.splat.machine.device().unwrap_or_default());
-    let mut backend = scene.is_some().then(open).transpose()?;
-    let (mut shots, mut before) = (Vec::new(), None);
-    let sample = scene.as_ref().and_then(Sample::of);
-    if let (Some(scene), Some(backend)) = (&scene, &mut backend) {
-        backend.upload(splat.cloud.into())?;
-        shots = shoot(scene, backend.as_mut(), &settings)?;
-        before = sample.as_ref().map(|sample| sample.psnr(backend, &settings)).transpose()?;
-    }
-    let page =
-        Standalone { title: &title, spz: &spz, gaussians, settings: &settings, framing, shots: &shots }
-            .html();
+    let spz = take_along::spz(&args.out, &splat.cloud, &settings)?;
+    let (page, views, loss) = match &scene {
+        Some(scene) => {
+            let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
+            backend.upload(splat.cloud.into())?;
+            let mut renderer = CloudRenderer::new(backend.as_mut(), settings);
+            let shots = take_along::shoot(scene, &mut renderer)?;
+            let page =
+                take_along::page(&spz, &title, renderer.cloud()?.as_ref(), &settings, Some(scene), &shots);
+            let before = |sample: Sample| Ok((sample.psnr(&mut backend, &settings)?, sample));
+            let loss = Sample::of(scene).map(before).transpose()?;
+            (page, shots.len(), loss.map(|(before, sample)| (sample, before, backend)))
+        }
+        None => (take_along::page(&spz, &title, &splat.cloud, &settings, None, &[]), 0, None),
+    };
     files::write_file(&args.out, |out| out.write_all(page.as_bytes()))?;
     splat::write_offset(&args.out, offset)?;
-    let (count, views) = (thousands(gaussians), shots.len());
+    let count = thousands(gaussians);
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
     let cameras = plural(views, "camera", "cameras");
     output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))?;
-    let (Some(sample), Some(before), Some(mut backend)) = (sample, before, backend) else { return Ok(()) };
+    let Some((sample, before, mut backend)) = loss else { return Ok(()) };
     let written = format::parse(&args.out, Format::Spz, &spz)?;
     let after = sample.psnr_of(&mut backend, written.cloud, &settings)?;
     sample.tell(before, after)
-}
-
-fn cameras(scene: &Scene) -> Vec<Camera> {
-    scene.train.iter().chain(&scene.test).map(|view| view.camera).collect()
 }
 
 fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
@@ -72,21 +58,4 @@ fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
     let of_file = || path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let found = args.title.clone().or_else(|| scene.map(|scene| scene.name.clone()));
     found.unwrap_or_else(of_file)
-}
-
-/// The cameras to jump to, each with what the splat looks like from there: of photos that training never saw,
-/// else of all.
-fn shoot(scene: &Scene, renderer: &mut dyn Renderer, settings: &RenderSettings) -> Result<Vec<Shot>> {
-    let (split, views) = match scene.test.is_empty() {
-        true => (Split::Train, &scene.train),
-        false => (Split::Test, &scene.test),
-    };
-    let mut bar = Bar::new("cameras", views.len() as u64);
-    let mut shots = Vec::with_capacity(views.len());
-    for (done, View { name, camera, .. }) in (1..).zip(views) {
-        let thumbnail = renderer.render(&thumbnail_camera(camera), settings)?.to_photo();
-        shots.push(Shot { name: name.clone(), split, camera: *camera, thumbnail });
-        bar.set(done, String::new);
-    }
-    Ok(shots)
 }

@@ -1,8 +1,9 @@
 //! `genesplat train`: a scene in, a run folder out.
 
+use std::io::{self, IsTerminal};
 use std::path::Path;
 use std::process;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
@@ -10,6 +11,7 @@ use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::cluster::Cluster;
 use genesplat::run::device::DeviceChoice;
+use genesplat::run::live::Showing;
 use genesplat::run::metrics::Metrics;
 use genesplat::run::numbers::{duration, thousands};
 use genesplat::run::session::{Caller, RunSession};
@@ -67,15 +69,33 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
     };
     let Loaded { mut session, settings, scene, lpips } = loaded;
     cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene))?;
-    let (page, tensorboard) = (args.page.address(), args.tensorboard);
+    let (address, tensorboard) = (args.page.address(), args.tensorboard);
+    let page = address.as_ref();
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
     let accepts_changes = args.accept_changes;
     let run = Run { settings, scene, lpips, stop, page, tensorboard, cluster, accepts_changes, began };
-    let ended = run.execute(&mut session)?;
+    let (ended, showing) = run.execute_shown(&mut session)?;
     if let Some(cluster) = cluster {
         output::tell(&cluster.summary(began.elapsed().as_secs_f64())?);
     }
-    if session.writes() { report(&ended, session.path()) } else { Ok(ending(&ended)) }
+    let ending = if session.writes() { report(&ended, session.path())? } else { ending(&ended) };
+    // Whoever looks at the page keeps nobody from the folder.
+    drop(session);
+    if let Some(showing) = showing {
+        linger(showing, scene);
+    }
+    Ok(ending)
+}
+
+/// The page stays: in a terminal until Ctrl-C, elsewhere as long as somebody looks, so that a script goes on.
+fn linger(mut showing: Showing, scene: &Scene) {
+    let stop = interrupt::stop_flag_saying("the page is closed");
+    let is_at_terminal = io::stdin().is_terminal() && io::stderr().is_terminal();
+    output::tell(match is_at_terminal {
+        true => "the page stays until Ctrl-C",
+        false => "the page stays as long as it is open in a browser",
+    });
+    showing.serve(scene, |is_watched| stop.load(Ordering::Relaxed) || !(is_at_terminal || is_watched));
 }
 
 /// All that a run needs.

@@ -143,11 +143,14 @@ fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
         }
         match hear(&mut page) {
             Heard::Picture => pictures += 1,
-            Heard::Text(state) if state["phase"] == "ended" => break,
+            Heard::Text(state) if ["ended", "viewing"].contains(&state["phase"].as_str().unwrap_or("")) => {
+                break;
+            }
             Heard::Text(_) => {}
             Heard::Closed => break,
         }
     }
+    drop(page);
     assert_eq!(served.end(), Some(0));
     assert!(pictures > 6, "{pictures} pictures, none of them while it trained");
     assert!(*ALONE == cloud(&watched), "the same bytes");
@@ -174,6 +177,7 @@ fn strangers_change_no_byte() {
         let _ = babbler.send(Message::text("garbage"));
     }
     assert!(refused > 10, "{refused} strangers were refused");
+    drop((deaf, babbler));
     assert_eq!(served.end(), Some(0));
     assert!(*ALONE == cloud(&pestered), "the same bytes");
 }
@@ -231,4 +235,90 @@ fn a_finished_run_and_a_bare_splat_are_shown_until_ctrl_c() {
         ["view", text(&splat), "--device", "cpu", "--view-address", &address],
         &[&address, "--view-address"],
     );
+}
+
+/// What the page at `url` sends for `name`.
+fn file(url: &str, name: &str) -> Vec<u8> {
+    let (host, path) = (url.split('/').nth(2).unwrap(), url.splitn(4, '/').last().unwrap());
+    let mut stream = TcpStream::connect(host).unwrap();
+    write!(stream, "GET /{path}{name} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap() + 4;
+    assert!(answer.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&answer[..end]));
+    answer.split_off(end)
+}
+
+/// Where there is no terminal: as long as somebody looks.
+#[test]
+fn the_page_of_a_run_outlives_it_and_gives_the_splat_and_a_page_to_send() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut served = serve(&out);
+    let mut page = served.page();
+    let first = await_state(&mut page, |_| true);
+    assert_eq!(first["can_download"], false);
+    await_state(&mut page, |state| state["phase"] == "viewing" && state["can_download"] == true);
+    assert!(file(&served.url, "point_cloud.ply") == cloud(&out), "the bytes that the run has saved");
+    let html = String::from_utf8(file(&served.url, "scene.html")).unwrap();
+    assert!(html.contains("<title>") && html.len() > 50_000, "{} bytes", html.len());
+    page.send(look(1, "colour")).unwrap();
+    while !matches!(hear(&mut page), Heard::Picture) {}
+    assert!(served.child.try_wait().unwrap().is_none(), "somebody looks");
+    // Nobody is kept from the folder meanwhile.
+    succeed(["inspect", text(&out)]);
+    drop(page);
+    assert_eq!(served.end(), Some(0));
+}
+
+#[test]
+fn a_run_that_nobody_looks_at_ends_and_ctrl_c_closes_a_page_that_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut alone = serve(&folder.path().join("alone"));
+    assert_eq!(alone.end(), Some(0));
+    let mut watched = serve(&folder.path().join("watched"));
+    let mut page = watched.page();
+    await_state(&mut page, |state| state["can_download"] == true);
+    watched.interrupt();
+    assert_eq!(watched.end(), Some(0), "the run is whole");
+}
+
+#[test]
+fn a_run_without_a_page_is_joined_by_view_which_follows_it_to_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let more = ["--iterations", "3000", "--max-gaussians", "800", "--checkpoint-every", "20", "--no-lpips"];
+    let mut training =
+        command(train(scene(), &out, &more)).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+    while !out.join("checkpoint/latest.checkpoint").exists() {
+        assert!(training.try_wait().unwrap().is_none(), "it trains");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let served = Served::start(command(["view", text(&out), "--device", "cpu"]));
+    let mut page = served.page();
+    let state = await_state(&mut page, |state| state["phase"] == "following");
+    assert_eq!(state["iterations"], 3000);
+    page.send(look(1, "colour")).unwrap();
+    while !matches!(hear(&mut page), Heard::Picture) {}
+    let before = state["iteration"].as_u64().unwrap();
+    await_state(&mut page, |state| state["phase"] == "viewing" || state["iteration"].as_u64() > Some(before));
+    Command::new("kill").args(["-INT", &training.id().to_string()]).status().unwrap();
+    training.wait().unwrap();
+    assert!(file(&served.url, "point_cloud.ply").starts_with(b"ply"));
+}
+
+/// Before anything is saved there is a page, which waits.
+#[test]
+fn a_run_that_has_saved_nothing_yet_is_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = folder.path().join("whole");
+    succeed(train(scene(), &whole, &["--iterations", "40"]));
+    let begun = folder.path().join("begun");
+    std::fs::create_dir(&begun).unwrap();
+    std::fs::copy(whole.join("config.toml"), begun.join("config.toml")).unwrap();
+    let served = Served::start(command(["view", text(&begun), "--device", "cpu"]));
+    let mut page = served.page();
+    await_state(&mut page, |state| state["phase"] == "waiting" && state["can_download"] == false);
+    std::fs::copy(whole.join("point_cloud.ply"), begun.join("point_cloud.ply")).unwrap();
+    await_state(&mut page, |state| state["phase"] == "viewing" && state["gaussians"].as_u64() > Some(0));
 }

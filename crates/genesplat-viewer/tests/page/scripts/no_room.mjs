@@ -8,7 +8,7 @@ const { Connection } = await load("live", "connection.js");
 globalThis.location = { href: "http://127.0.0.1:7007/token/" };
 
 const sockets = [];
-globalThis.WebSocket = class { constructor() { sockets.push(this); } };
+globalThis.WebSocket = class { constructor(address) { this.address = address; sockets.push(this); } };
 const delays = [];
 globalThis.setTimeout = (open, milliseconds) => { delays.push(milliseconds); open(); };
 
@@ -27,3 +27,9 @@ assert.strictEqual(notices.length, 5);
 // Whoever was let in comes back at once.
 live({ type: "hello" });
 assert.strictEqual(delays.at(-1), 500);
+
+// Where the page came by TLS, a browser allows no socket without.
+assert.strictEqual(String(sockets[0].address), "ws://127.0.0.1:7007/token/socket");
+globalThis.location = { href: "https://splats.example/proxy/token/" };
+new Connection({ close() {} });
+assert.strictEqual(String(sockets.at(-1).address), "wss://splats.example/proxy/token/socket");

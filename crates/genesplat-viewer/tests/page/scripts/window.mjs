@@ -23,6 +23,8 @@ export function element(width, height) {
     dataset: {},
     style: {},
     listeners: {},
+    classes: new Set(),
+    classList: { toggle: () => {} },
     addEventListener(type, listener) { this.listeners[type] = listener; },
     querySelector(name) { return (parts[name] ??= element(width, height)); },
     getBoundingClientRect() {
