@@ -5,10 +5,10 @@ use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, RenderSettings, Similarity, memory};
+use genesplat::core::{Gaussians, RenderSettings, Similarity, View, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
-use genesplat::io::{Offset, Scene, offset, plural, shown};
+use genesplat::io::{Offset, offset, plural, shown};
 use genesplat::run::CLOUD;
 use genesplat::run::device::Device;
 use genesplat::run::numbers::thousands;
@@ -72,7 +72,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
 /// What a loss is measured on.
 enum Photos {
     /// All that are asked for.
-    Asked(Scene),
+    Asked(Vec<View>),
     /// Some of a run's.
     Sampled(Sample),
 }
@@ -92,7 +92,7 @@ fn photos(splat: &Splat, format: Format, args: &ConvertArgs) -> Result<Option<Ph
         "{} has no test photos to measure a loss on; leave --data out",
         scene.name
     );
-    Ok(Some(Photos::Asked(scene)))
+    Ok(Some(Photos::Asked(scene.test)))
 }
 
 fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
@@ -154,8 +154,8 @@ fn say_loss(
 /// PSNR of what the device holds, dB.
 fn score(photos: &Photos, backend: &mut Device, when: &str, settings: &RenderSettings) -> Result<f64> {
     match photos {
-        Photos::Asked(scene) => {
-            let scores = evaluate_all(backend, &scene.test, settings, None)?;
+        Photos::Asked(views) => {
+            let scores = evaluate_all(backend, views, settings, None)?;
             output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
             Ok(scores.psnr)
         }
