@@ -35,7 +35,8 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
             let shots = take_along::shoot(scene, &mut renderer)?;
             let page =
                 take_along::page(&spz, &title, renderer.cloud()?.as_ref(), &settings, Some(scene), &shots);
-            let before = |sample: Sample| Ok((sample.psnr(&mut backend, &settings)?, sample));
+            let before =
+                |sample: Sample| -> Result<_> { Ok((sample.psnr(&mut backend, &settings)?, sample)) };
             let loss = Sample::of(scene).map(before).transpose()?;
             (page, shots.len(), loss.map(|(before, sample)| (sample, before, backend)))
         }
