@@ -97,7 +97,7 @@ impl Gallery {
         let (train, test) = hold_out.split(self.views);
         let digests = SceneDigests::of_views([&train, &test], &self.points);
         let (photos, notices) = (Vec::new(), Vec::new());
-        Scene { name: "gallery".into(), train, test, points: self.points, photos, digests, notices }
+        Scene { name: "gallery".into(), train, test, points: self.points, seen: Default::default(), photos, digests, notices }
     }
 
     /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.

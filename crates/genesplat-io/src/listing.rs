@@ -49,6 +49,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) purpose: Purpose,
     /// A picture that is black where the photo does not count.
     pub(crate) mask: Option<PathBuf>,
+    /// The points that it sees, by their places, rising; none where that is not known or not asked for.
+    pub(crate) seen: Vec<u32>,
 }
 
 /// What a scene may say that a photo is for.

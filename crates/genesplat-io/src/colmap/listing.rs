@@ -1,11 +1,13 @@
 //! A model's photos, joined with their cameras and found on the disk.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
+use super::tracks::read_seen;
 use super::{ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
@@ -13,16 +15,18 @@ use crate::listing::{
     separate, similar_notice,
 };
 use crate::photos::Lens;
+use crate::scene::LoadOptions;
 use crate::shown;
 use crate::similar::{self, Similar, entries};
 
-/// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in
+/// Lists the photos and, if they are wanted, the points and who sees them of the model in `folder`; photos are in
 /// `image_folder`.
 pub(crate) fn list(
     folder: &ModelFolder,
     image_folder: &Path,
-    with_points: bool,
+    options: &LoadOptions,
 ) -> Result<Listing, SceneError> {
+    let with_points = options.with_points;
     let mut model = if with_points { read_model(folder)? } else { read_photos(folder)? };
     model.images.iter_mut().for_each(|image| separate(&mut image.name, image_folder));
     let list = folder.form.file(&folder.path, "images");
@@ -36,10 +40,19 @@ pub(crate) fn list(
     if !is_one_of_several {
         notices.extend(left_out_notice(photos.iter().map(|(_, path)| &**path), &list));
     }
+    let seen = if with_points && options.with_tracks { read_seen(folder)? } else { BTreeMap::new() };
+    let mut seen: BTreeMap<String, Vec<u32>> = seen
+        .into_iter()
+        .map(|(mut name, points)| {
+            separate(&mut name, image_folder);
+            (name, points)
+        })
+        .collect();
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
-        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None })
+        let seen = seen.remove(&name).unwrap_or_default();
+        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None, seen })
     };
     let photos = photos.into_iter().map(listed).collect::<Result<_, SceneError>>()?;
     let points_file = points_file(folder);

@@ -12,6 +12,7 @@ mod split;
 mod stray;
 mod view;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -53,6 +54,9 @@ pub struct Scene {
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
+    /// The points that each photo sees, by the name of its view: their places in `points`, rising. Empty
+    /// where that is not known (COLMAP's tracks say it) or not asked for.
+    pub seen: BTreeMap<String, Vec<u32>>,
     /// Files of the photos, which must not be written over; empty for a scene that is not from a disk.
     pub photos: Vec<PathBuf>,
     /// What tells whether the scene is still what it was.
@@ -84,6 +88,8 @@ pub struct LoadOptions {
     pub image_folder: PathBuf,
     /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
     pub with_points: bool,
+    /// Whether [`Scene::seen`] is loaded, too, with the points.
+    pub with_tracks: bool,
     /// Seed of the random points that a scene without points starts from.
     pub seed: u64,
     /// When and where photos are kept in a file; `None`: in memory, however many they are.
@@ -111,6 +117,7 @@ impl Default for LoadOptions {
             near: None,
             image_folder: "images".into(),
             with_points: true,
+            with_tracks: false,
             seed: 0,
             spill: None,
         }
@@ -156,7 +163,7 @@ pub fn load_scene(
     let listing = list(path, options)?;
     let files = |photo: &ListedPhoto| std::iter::once(photo.path.clone()).chain(photo.mask.clone());
     let photos = listing.photos.iter().flat_map(files).collect();
-    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let (mut train, mut test) = split::split(listing.photos, &options.hold_out, path)?;
     if train.is_empty() {
         let problem = format!(
             "has not enough photos: {0}, of which {0} would be held out for testing and none is left to train on; \
@@ -165,6 +172,7 @@ pub fn load_scene(
         );
         return Err(SceneError::invalid(path, problem));
     }
+    let seen = seen([&mut train, &mut test]);
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
     let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
@@ -176,7 +184,15 @@ pub fn load_scene(
         ));
     }
     let digests = SceneDigests::of(digests, listing.points_digest);
-    Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, digests, notices })
+    let (name, points) = (scene_name(path), listing.points);
+    Ok(Scene { name, train, test, points, seen, photos, digests, notices })
+}
+
+/// The points that each of these photos sees, taken out of them.
+fn seen(photos: [&mut [ListedPhoto]; 2]) -> BTreeMap<String, Vec<u32>> {
+    let of_photo = |photo: &mut ListedPhoto| (photo.name.clone(), std::mem::take(&mut photo.seen));
+    let all = photos.into_iter().flatten().map(of_photo);
+    all.filter(|(_, points)| !points.is_empty()).collect()
 }
 
 /// Something of each training photo, and of each test photo.
@@ -261,7 +277,7 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
             };
             // One of several reconstructions may have been given.
             let listing = match colmap::model_in(path) {
-                Some(model) => colmap::list(&model, &scene.join(&options.image_folder), options.with_points)?,
+                Some(model) => colmap::list(&model, &scene.join(&options.image_folder), options)?,
                 None => list_known(&scene, options)?,
             };
             let mut listing = checked(listing, &scene, options)?;
@@ -308,7 +324,7 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     let with_points = options.with_points;
-    let of_model = |model| colmap::list(&model, &path.join(&options.image_folder), with_points);
+    let of_model = |model| colmap::list(&model, &path.join(&options.image_folder), options);
     if let Some(model) = colmap::find_model(path) {
         return of_model(model);
     }

@@ -14,4 +14,5 @@ mod photos;
 mod ply;
 mod real_scenes;
 mod split;
+mod tracks;
 mod transforms;
