@@ -31,7 +31,7 @@ pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
     HoldOut, LoadOptions, LoadProgress, MaskUse, PhotoDigests, Point, SIDE_MIN_PX, Scene, SceneDigests,
     SceneList, ScenePhoto, Spill, blocks, list_scene, load_points, load_scene, mask_of, model_of,
-    scene_digests,
+    replace_photos, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};

@@ -8,6 +8,7 @@ use genesplat_core::View;
 use genesplat_io::{LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene};
 use genesplat_train::scene::initialise::ColouredPoint;
 
+use crate::exposure::ExposureUse;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
@@ -20,7 +21,9 @@ pub const PHOTO_MEMORY: u64 = 1 << 30;
 /// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go
 /// that memory should not hold.
 pub fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
-    told(read(&dataset.path, background, LoadOptions { seed, spill, ..dataset.options() }))
+    let with_tracks = dataset.exposure != ExposureUse::Off;
+    let options = LoadOptions { seed, spill, with_tracks, ..dataset.options() };
+    told(read(&dataset.path, background, options))
 }
 
 /// The same to inspect: notices are the caller's to tell.

@@ -8,6 +8,7 @@ use genesplat_io::format::{self, Format, Loaded};
 use genesplat_io::{FormatError, LoadOptions, MaskUse, Scene, SceneDigests, command_line, list_scene, shown};
 use genesplat_train::Background;
 
+use crate::exposure::Exposure;
 use crate::inputs::{Inputs, notice_changes};
 use crate::output;
 use crate::preparing;
@@ -24,8 +25,8 @@ pub struct Splat {
     pub settings: RenderSettings,
     /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
     trained_on: Option<Dataset>,
-    /// The folder of its run, and the scene that the run began with, as far as that is known.
-    began_with: Option<(PathBuf, SceneDigests)>,
+    /// The folder of its run, and what the run began with, as far as that is known.
+    began_with: Option<(PathBuf, Inputs)>,
 }
 
 impl Splat {
@@ -49,18 +50,32 @@ impl Splat {
         }
     }
 
-    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise.
+    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise:
+    /// training photos at the mean exposure, if they were brought to it, and test photos as they are.
     ///
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
-        let scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
+        let mut scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
         // Photos of another folder are asked for as such.
         let began_with = self.began_with.as_ref().filter(|_| asked.images.is_none());
         began_with
             .into_iter()
-            .for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
+            .for_each(|(folder, began)| notice_changes(&began.scene, folder, &scene.digests, &scene.name));
+        if let Some(exposure) = self.exposure(&scene, asked) {
+            exposure.bring(&mut scene, None)?;
+        }
         Ok(scene)
+    }
+
+    /// The exposure of those photos of `scene` that its run began with, if it brought its photos to one: that
+    /// of a splat's renders. Photos of another folder are known by their names.
+    pub fn exposure(&self, scene: &Scene, asked: &PhotosAsked) -> Option<Exposure> {
+        let (_, began) = self.began_with.as_ref()?;
+        let digest = |scene: &SceneDigests, name: &str| scene.photo(name).map(|photo| photo.photo);
+        let is_known =
+            |name: &str| asked.images.is_some() || digest(&began.scene, name) == digest(&scene.digests, name);
+        Some(began.exposure.as_ref()?.only(is_known))
     }
 
     /// The name of the view in `data` that is called `name`.
@@ -139,7 +154,7 @@ fn open_run(read: Read, folder: &Path) -> Result<Splat> {
         output::tell(&format!("notice: {error}"));
         None
     });
-    let began_with = inputs.map(|inputs| (folder.to_owned(), inputs.scene));
+    let began_with = inputs.map(|inputs| (folder.to_owned(), inputs));
     Ok(Splat { cloud, settings, trained_on: Some(config.dataset), began_with })
 }
 

@@ -8,6 +8,7 @@ mod masks;
 mod place;
 pub(crate) mod precision;
 mod random_points;
+mod replaced;
 mod split;
 mod stray;
 mod view;
@@ -24,6 +25,7 @@ pub use digests::{PhotoDigests, SceneDigests};
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use masks::{MaskUse, mask_of};
 pub(crate) use random_points::Cube;
+pub use replaced::replace_photos;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 

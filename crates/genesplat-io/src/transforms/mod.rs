@@ -176,7 +176,16 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
         let listed = splits.as_ref().map(|splits| splits.purpose(&entry.file_path, list)).transpose()?;
         let purpose = purpose.or(listed).unwrap_or_default();
         let mask = entry.mask_path.as_deref().map(|name| find_mask(folder, name, list)).transpose()?;
-        photos.push(ListedPhoto { name, path, list: shared.clone(), camera, lens, purpose, mask, seen: Vec::new() });
+        photos.push(ListedPhoto {
+            name,
+            path,
+            list: shared.clone(),
+            camera,
+            lens,
+            purpose,
+            mask,
+            seen: Vec::new(),
+        });
     }
     let notices = notices(&photos, &missing, similar, list);
     Ok(Found { list: list.to_owned(), photos, missing, points: file.ply_file_path.clone(), notices })

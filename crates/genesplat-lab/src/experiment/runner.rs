@@ -206,7 +206,7 @@ impl<'a> Runner<'a> {
         let scene = scenes.get(self, cell, settings).and_then(|scene| {
             self.check_partners(cell, scene)?;
             if resumes {
-                let (mut now, caller) = (Inputs::of(settings, scene), Caller::Experiment);
+                let (mut now, caller) = (Inputs::of(settings, scene, None), Caller::Experiment);
                 inputs::check_goes_on(&self.folder(cell), &mut now, &scene.name, caller, false)?;
             }
             Ok(scene)
@@ -215,6 +215,7 @@ impl<'a> Runner<'a> {
         let run = Run {
             settings,
             scene,
+            exposure: None,
             lpips: self.lpips,
             stop: self.stop,
             page: None,

@@ -115,6 +115,10 @@ fn rules(trainer: &Trainer<'_>, i: u32) -> adaptive::Rules {
         clone_size_max: world(CLONE_SIZE),
         prune_opacity: PRUNE_OPACITY,
         prune_size: (i > timeline.size_prune_after).then(|| world(method.prune_size)),
-        cap: trainer.run.cap.get().map(|cap| (cap as f64 * timeline.grown(i, trainer.run.views.len())) as usize),
+        cap: trainer
+            .run
+            .cap
+            .get()
+            .map(|cap| (cap as f64 * timeline.grown(i, trainer.run.views.len())) as usize),
     }
 }

@@ -3,6 +3,7 @@
 use genesplat::flags::Choice;
 use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
+use genesplat::run::exposure::ExposureUse;
 use genesplat::run::metrics::Split;
 use genesplat::train::{Background, MethodName};
 
@@ -66,6 +67,13 @@ pub(crate) const BACKGROUNDS: &[Choice<Background>] =
 
 /// `--background` of a finished splat.
 pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
+
+/// `--exposure`.
+pub(crate) const EXPOSURES: &[Choice<ExposureUse>] = &[
+    (ExposureUse::Auto, &["auto"], "Where it helps, by what the points say that photos share"),
+    (ExposureUse::On, &["on"], "Whatever they say"),
+    (ExposureUse::Off, &["off"], "Photos are trained on as they are"),
+];
 
 /// `--mask`.
 pub(crate) const MASKS: &[Choice<MaskUse>] = &[

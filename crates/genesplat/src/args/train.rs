@@ -7,10 +7,11 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use genesplat::flags::{LpipsArgs, MORE, MachineArgs, choice, scale};
 use genesplat::io::archive::is_zip;
-use genesplat::run::settings::Training;
+use genesplat::run::exposure::ExposureUse;
+use genesplat::run::settings::{PhotosAsked, Training};
 use genesplat::train::{Background, MethodConfig, MethodName, TrainConfig};
 
-use super::choice::{BACKGROUNDS, METHODS, PRESETS};
+use super::choice::{BACKGROUNDS, EXPOSURES, METHODS, PRESETS};
 use super::{PhotosArgs, SEEDS, TrainPageArgs};
 
 #[derive(Debug, Args)]
@@ -38,6 +39,11 @@ pub(crate) struct TrainArgs {
     pub(crate) search: SearchArgs,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
+    /// Whether photos are brought to one exposure and white balance before training, each by three numbers
+    /// that COLMAP's points tell [default: auto]. Renders then show the mean exposure, and test photos are
+    /// compared with renders at the photo's own
+    #[arg(long, value_name = "USE", value_parser = choice(EXPOSURES))]
+    pub(crate) exposure: Option<ExposureUse>,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:
     /// none]
     #[arg(long, value_name = "FILE.toml")]
@@ -86,7 +92,7 @@ impl TrainArgs {
             accepts_changes: self.accept_changes,
             config: self.config.as_deref(),
             preset: self.preset,
-            photos: self.photos.asked()?,
+            photos: PhotosAsked { exposure: self.exposure, ..self.photos.asked()? },
             machine: self.machine.into(),
             over,
         })

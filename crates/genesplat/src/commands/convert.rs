@@ -12,7 +12,7 @@ use genesplat::io::{plural, shown};
 use genesplat::run::CLOUD;
 use genesplat::run::numbers::thousands;
 use genesplat::run::photos::check_test_photos;
-use genesplat::run::score::evaluate_all;
+use genesplat::run::score::{Scores, evaluate_all};
 use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
@@ -31,7 +31,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let mut splat = splat::open_unchecked(&args.splat)?.on(args.on.background);
     let in_file = splat.cloud.len();
     splat.cloud = clean(splat.cloud, &args.splat)?;
-    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos.asked()?)).transpose()?;
+    let asked = args.photos.asked()?;
+    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &asked)).transpose()?;
+    let exposure = scene.as_ref().and_then(|scene| splat.exposure(scene, &asked));
     if let Some(scene) = &scene {
         check_test_photos(&args.splat, scene)?;
         ensure!(
@@ -58,8 +60,11 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let mut score = |when: &str, mut splat: Splat| {
         splat.settings.background = background;
         backend.upload(splat.cloud.into())?;
-        let scores = evaluate_all(&mut backend, &scene.test, &splat.settings, None)?;
-        output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
+        let Scores { scores, as_rendered } =
+            evaluate_all(&mut backend, &scene.test, &splat.settings, None, exposure.as_ref())?;
+        for line in output::scores_lines("test", &scores, as_rendered.as_ref()) {
+            output::print(&format!("{when:<6} {line}"))?;
+        }
         anyhow::Ok(scores.psnr)
     };
     let before = score("before", splat)?;

@@ -7,7 +7,7 @@ use genesplat::io::{PHOTO_ENDINGS, ending, shown};
 use genesplat::metrics::Evaluation;
 use genesplat::run::metrics::Split;
 use genesplat::run::photos;
-use genesplat::run::score::evaluate_all;
+use genesplat::run::score::{Scores, evaluate_all};
 use genesplat::run::{device, lpips, splat};
 use genesplat::terminal::output;
 use serde::Serialize;
@@ -24,6 +24,10 @@ struct Report {
     gaussians: usize,
     #[serde(flatten)]
     scores: Evaluation,
+    /// Where the run brought its photos to one exposure, `psnr` and its like are of renders at the exposure of
+    /// each photo, and these of renders as they are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    as_rendered: Option<Evaluation>,
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
@@ -47,7 +51,10 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let lpips = lpips::open(&args.lpips.asked())?;
     let splat = splat::open(path)?.on(args.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
-    let scene = splat.load_scene(&data, &args.photos.asked()?)?;
+    let asked = args.photos.asked()?;
+    let scene = splat.load_scene(&data, &asked)?;
+    // Training photos are at the mean exposure already.
+    let exposure = splat.exposure(&scene, &asked).filter(|_| args.split == Split::Test);
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),
@@ -62,9 +69,12 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let mut backend = device::open(args.machine.device.unwrap_or_default())?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud.into())?;
-    let scores = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref())?;
+    let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), exposure.as_ref())?;
+    let Scores { scores, as_rendered } = found;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
-    output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
-    let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };
+    for line in output::scores_lines(name, &scores, as_rendered.as_ref()) {
+        output::print(&format!("{line}, at {width}x{height} pixels"))?;
+    }
+    let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores, as_rendered };
     args.json.write(&report)
 }

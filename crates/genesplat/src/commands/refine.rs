@@ -6,10 +6,11 @@ use genesplat::core::{RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
 use genesplat::run::device::Device;
+use genesplat::run::exposure::Exposure;
 use genesplat::run::numbers::thousands;
 use genesplat::run::photos;
 use genesplat::run::reporter::Reporter;
-use genesplat::run::score::evaluate_all;
+use genesplat::run::score::{Scores, evaluate_all};
 use genesplat::run::settings::{ConfigFile, check_hidden};
 use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
@@ -32,12 +33,14 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     check_hidden(splat.mask(&data, &args.photos.asked()?)?, schedule.config().background)?;
     check(args, schedule.config())?;
     splat.settings = schedule.render_settings();
-    let scene = splat.load_scene(&data, &args.photos.asked()?)?;
+    let asked = args.photos.asked()?;
+    let scene = splat.load_scene(&data, &asked)?;
+    let exposure = splat.exposure(&scene, &asked);
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag();
     let mut device = device::open(args.machine.device.unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
-    print_scores("before", &mut device, &scene, &splat.settings)?;
+    print_scores("before", &mut device, (&scene, exposure.as_ref()), &splat.settings)?;
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
     let outcome: Outcome = if schedule.config().genetic.is_some() {
         search(device.as_mut(), views, splat.cloud, &schedule, &mut reporter, &stop)?
@@ -57,7 +60,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let written = splat::open(&args.out)?;
     device.upload(written.cloud.into())?;
     let settings = RenderSettings { background: splat.settings.background, ..written.settings };
-    print_scores("after", &mut device, &scene, &settings)?;
+    print_scores("after", &mut device, (&scene, exposure.as_ref()), &settings)?;
     output::print(&format!("{gaussians} Gaussians written to {}", shown(&args.out)))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
@@ -109,10 +112,18 @@ fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
     MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }
 }
 
-fn print_scores(when: &str, device: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {
-    for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
-        let scores = evaluate_all(device, views, settings, None)?;
-        output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
+/// Training photos are at the mean exposure already, where a run has brought them to it.
+fn print_scores(
+    when: &str,
+    device: &mut Device,
+    (scene, exposure): (&Scene, Option<&Exposure>),
+    settings: &RenderSettings,
+) -> Result<()> {
+    for (name, views, exposure) in [("test", &scene.test, exposure), ("train", &scene.train, None)] {
+        let Scores { scores, as_rendered } = evaluate_all(device, views, settings, None, exposure)?;
+        for line in output::scores_lines(name, &scores, as_rendered.as_ref()) {
+            output::print(&format!("{when:<6} {line}"))?;
+        }
     }
     Ok(())
 }

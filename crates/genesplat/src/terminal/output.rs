@@ -211,6 +211,19 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     }
 }
 
+/// The lines of scores of renders; two where they were scored at the exposure of each photo, and
+/// `as_rendered` has those of renders as they are.
+pub fn scores_lines(name: &str, scores: &Evaluation, as_rendered: Option<&Evaluation>) -> Vec<String> {
+    let line = scores_line(name, scores);
+    match as_rendered.filter(|_| !scores.views.is_empty()) {
+        None => vec![line],
+        Some(as_rendered) => vec![
+            format!("{line}, renders at the exposure of each photo, as shared points say it"),
+            format!("{}, renders as they are, at the mean exposure", scores_line("", as_rendered)),
+        ],
+    }
+}
+
 /// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause
 /// in it.
 pub fn error_line(error: &anyhow::Error) -> String {

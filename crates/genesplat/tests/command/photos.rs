@@ -187,10 +187,7 @@ fn a_limit_of_gaussians_holds_from_the_first_step_on() {
     let run = folder.path().join("run");
     let output = crate::support::run(train(scene(), &run, &["--iterations", "3", "--max-gaussians", "90"]));
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(
-        output.status.success() && said.contains("thinned evenly to 90 (--max-gaussians)"),
-        "{said}"
-    );
+    assert!(output.status.success() && said.contains("thinned evenly to 90 (--max-gaussians)"), "{said}");
     let gaussians = number(&json(&run.join("metrics.json"))["gaussians"]);
     assert!((45.0..=90.0).contains(&gaussians), "{gaussians}");
 }

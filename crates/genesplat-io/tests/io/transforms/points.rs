@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use genesplat_io::{LoadOptions, Point, Scene, load_scene};
 use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model};
+use genesplat_io::{LoadOptions, Point, Scene, load_scene};
 use glam::{DQuat, DVec3};
 use serde_json::json;
 
