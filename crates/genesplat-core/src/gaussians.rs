@@ -16,7 +16,7 @@ pub struct Gaussians {
     pub opacity_logits: Vec<f32>,
     /// Spherical harmonics `[N, 16 coefficients, 3 channels]`; coefficient 0 is the base colour ("dc").
     pub sh: Vec<[f32; SH_STRIDE]>,
-    /// Mip-Splatting's 3D filter, standard deviation in world units `[N]`; `None` for every other variant.
+    /// Mip-Splatting's 3D filter, standard deviation in world units `[N]`; `None` for every other method.
     pub filter_3d: Option<Vec<f32>>,
 }
 

@@ -1,5 +1,5 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and the selection
-//! among the Gaussians of one cloud that we add to it. Neither knows a renderer, a file or a clock.
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization". It knows no renderer,
+//! file or clock.
 //!
 //! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is
 //! *told* them. An individual is a sparse difference from a state that all share; how memory grows is stated

@@ -106,7 +106,17 @@ impl Gallery {
         let (train, test) = hold_out.split(self.views);
         let digests = SceneDigests::of_views([&train, &test], &self.points);
         let (photos, notices) = (Vec::new(), Vec::new());
-        Scene { name: "gallery".into(), train, test, points: self.points, seen, photos, digests, notices }
+        Scene {
+            name: "gallery".into(),
+            train,
+            test,
+            points: self.points,
+            seen,
+            photos,
+            digests,
+            notices,
+            doubts: Vec::new(),
+        }
     }
 
     /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.

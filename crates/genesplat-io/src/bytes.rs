@@ -10,7 +10,7 @@ use crate::archive::{self, ArchiveError};
 use crate::colmap::{self, Form, ImageRecord, Intrinsics};
 use crate::format::{self, Format, FormatError, Loaded, Options};
 use crate::photos::{self, EncodedPhoto, PhotoError};
-use crate::ply::{self, PlyError};
+use crate::ply;
 use crate::scene::Point;
 use crate::{SceneError, transforms};
 
@@ -52,12 +52,12 @@ pub fn splat(format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
 
 /// What a file of this format holds.
 pub fn written(format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
-    format::to_bytes(NAME.as_ref(), format, cloud, options)
+    format::to_bytes(NAME.as_ref(), format, cloud, options, &())
 }
 
 /// A cloud of points as PLY.
-pub fn point_cloud(bytes: &[u8]) -> Result<Vec<Point>, PlyError> {
-    ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64)
+pub fn point_cloud(bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+    Ok(ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64)?.records)
 }
 
 /// The files that a zip archive unpacks to, and how many bytes each has.

@@ -3,6 +3,7 @@
 //! Input is not trusted. A count is believed only as far as the bytes behind it reach. Whatever is wrong ends
 //! in a typed error whose one sentence says what, where, and what to do. A panic here is a bug.
 
+mod alike;
 pub mod archive;
 pub mod atomic;
 #[doc(hidden)]
@@ -29,9 +30,9 @@ pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
-    HoldOut, LoadOptions, LoadProgress, MaskUse, PhotoDigests, Point, SIDE_MIN_PX, Scene, SceneDigests,
-    SceneList, ScenePhoto, Spill, blocks, list_scene, load_points, load_scene, mask_of, model_of,
-    replace_photos, scene_digests,
+    Doubt, HoldOut, LoadOptions, LoadProgress, MaskUse, Masks, PhotoDigests, Point, SIDE_MIN_PX, Scene,
+    SceneDigests, SceneList, ScenePhoto, Spill, blocks, list_scene, load_points, load_scene, mask_beside,
+    model_of, replace_photos, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};

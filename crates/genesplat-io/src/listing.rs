@@ -11,10 +11,11 @@ use genesplat_core::camera::near_of;
 use genesplat_core::constants::NEAR_DEPTH;
 use glam::DVec3;
 
+use crate::alike::difference;
 use crate::digest::Digest;
 use crate::error::SceneError;
-use crate::photos::Lens;
-use crate::scene::{Cube, Point};
+use crate::photos::{Lens, PhotoError};
+use crate::scene::{Cube, Doubt, Point, mask_beside};
 use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
 use crate::{names, plural, shown};
 
@@ -31,6 +32,8 @@ pub(crate) struct Listing {
     /// Where random points lie, if this is known; else it follows from the cameras.
     pub(crate) cube: Option<Cube>,
     pub(crate) notices: Vec<String>,
+    /// Why to train on it makes no sense.
+    pub(crate) doubts: Vec<Doubt>,
 }
 
 /// A photo that exists and is not decoded yet.
@@ -210,57 +213,131 @@ pub(crate) fn absent_notice(missing: &[PathBuf], all: usize, list: &Path) -> Opt
     Some(format!("{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"))
 }
 
-/// Of the photos beside those that were `found`, at least a tenth is not in `list`: cameras were not found
-/// for them.
-pub(crate) fn left_out_notice<'a>(
-    found: impl Iterator<Item = &'a Path> + Clone,
-    list: &Path,
-) -> Option<String> {
+/// Of all photos of a scene, these are damaged, and are left out as absent ones are.
+pub(crate) fn damaged_notice(damaged: &[PhotoError], all: usize) -> Option<String> {
+    let (first, count) = (damaged.first()?, damaged.len());
+    let are = plural(count, "cannot be used and is left out", "cannot be used and are left out");
+    Some(format!("{count} of the {all} photos {are}, first: {first}"))
+}
+
+/// Of all photos that `list` has, these have poses that are not finite: programs write such numbers where
+/// they have found nothing. An error where no other is left.
+pub(crate) fn lost_poses(lost: &[String], all: usize, list: &Path) -> Result<Option<String>, SceneError> {
+    let Some(first) = lost.first() else { return Ok(None) };
+    if lost.len() == all {
+        return Err(bad_pose(list, first, "is not finite"));
+    }
+    let have = plural(
+        lost.len(),
+        "has a pose that is not finite and is left out",
+        "have poses that are not finite and are left out",
+    );
+    let (count, list, first) = (lost.len(), shown(list), shown(first));
+    Ok(Some(format!("{count} of the {all} photos that {list} lists {have}, first {first}")))
+}
+
+/// Photos beside those of a list that are not in it: cameras were not found for them.
+pub(crate) struct LeftOut {
+    count: usize,
+    /// Those in the list, too.
+    all: usize,
+    first: PathBuf,
+}
+
+impl LeftOut {
+    /// Where they are at least a tenth of all, and not so many that to train makes no sense.
+    pub(crate) fn notice(&self, list: &Path) -> Option<String> {
+        let Self { count, all, first } = self;
+        (10 * count >= *all && 2 * count <= *all).then(|| {
+            format!(
+                "{count} of the {all} photos have no camera in {} and are left out, first {}: photos that are blurred, or that show \
+                 little of what others show, find none",
+                shown(list),
+                shown(first)
+            )
+        })
+    }
+
+    /// Where they are more than half of all.
+    pub(crate) fn doubt(&self, list: &Path) -> Option<Doubt> {
+        let Self { count, all, first } = self;
+        (2 * count > *all).then(|| Doubt {
+            problem: format!(
+                "only {} of the {all} photos have a camera in {}; {} is the first of those without",
+                all - count,
+                shown(list),
+                shown(first)
+            ),
+            remedy: "take photos in between and find cameras again, or go on with --anyway".into(),
+        })
+    }
+}
+
+/// What lies beside the photos that were `found`, and is not in their list.
+pub(crate) fn left_out<'a>(found: impl Iterator<Item = &'a Path> + Clone) -> Option<LeftOut> {
     let folders: BTreeSet<&Path> = found.clone().filter_map(Path::parent).collect();
     let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
     let there: Vec<PathBuf> =
         folders.into_iter().flat_map(entries).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)).collect();
+    let masks: HashSet<PathBuf> = found.clone().filter_map(mask_beside).collect();
     // A photo may lie beside what was made of it: `a.webp` beside `a.webp.png`.
     let is_used = |photo: &Path| {
         [photo.file_stem(), photo.file_name()].into_iter().flatten().any(|name| stems.contains(name))
     };
+    let there: Vec<PathBuf> = there.into_iter().filter(|photo| !masks.contains(photo)).collect();
     let left_out: Vec<&PathBuf> = there.iter().filter(|photo| !is_used(photo)).collect();
-    let (first, count, all) = (left_out.iter().min()?, left_out.len(), there.len());
-    (10 * count >= all).then(|| {
-        format!(
-            "{count} of the {all} photos have no camera in {} and are left out, first {}: photos that are blurred, or that show \
-             little of what others show, find none",
-            shown(list),
-            shown(first)
-        )
-    })
+    let first = left_out.iter().min()?.to_path_buf();
+    Some(LeftOut { count: left_out.len(), all: there.len(), first })
 }
 
 /// Photos that were found under almost the names that `list` has.
 pub(crate) fn similar_notice(similar: Similar, list: &Path) -> Option<String> {
     let (wanted, found, count) = similar.found()?;
-    let [wanted, found] = [wanted, found].map(|path| shown(path.file_name().unwrap_or_default()));
-    let (list, photos) = (
-        shown(list),
-        plural(count, "photo has another case or ending", "photos have other cases or endings"),
-    );
-    Some(format!("{count} {photos} than {list} says, first {found} for {wanted}"))
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let (wanted, found, list) = (name(&wanted), name(&found), shown(list));
+    let differs = difference(&found, &wanted);
+    let photos = match differs.is_empty() {
+        true => plural(count, "photo has another case or ending", "photos have other cases or endings"),
+        false => {
+            plural(count, "photo has a name in other characters", "photos have names in other characters")
+        }
+    };
+    let (found, wanted) = (shown(&*found), shown(&*wanted));
+    Some(format!("{count} {photos} than {list} says, first {found} for {wanted}{differs}"))
+}
+
+/// A folder that has the photos that another one lacks.
+pub(crate) struct Elsewhere {
+    pub(crate) path: PathBuf,
+    /// What `--images` is to be.
+    pub(crate) given: PathBuf,
 }
 
 /// The error where no photo exists that `list` has; `wanted` is the first, and may be `elsewhere`.
-pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path, elsewhere: Option<&Path>) -> SceneError {
+pub(crate) fn all_missing(
+    wanted: &Path,
+    count: usize,
+    list: &Path,
+    elsewhere: Option<&Elsewhere>,
+) -> SceneError {
     let folder = wanted.parent().unwrap_or(Path::new(""));
     let first = |endings: &[&str]| entries(folder).filter(|entry| has_ending(entry, endings)).min();
     let name = |path: &Path| shown(path.file_name().unwrap_or_default()).to_string();
+    let difference = |found: &Path| {
+        let plain = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        difference(&plain(found), &plain(wanted))
+    };
     let remedy = match (elsewhere, first(&PHOTO_ENDINGS), first(&UNREAD)) {
         (Some(elsewhere), ..) => {
-            format!("; {} has photos of these names, so give --images {}", shown(elsewhere), name(elsewhere))
+            let Elsewhere { path, given } = elsewhere;
+            format!("; {} has photos of these names, so give --images {}", shown(path), shown(given))
         }
         (_, Some(found), _) => {
             format!(
-                ", which has names like {} where {} is wanted; put the photos there",
+                ", which has names like {} where {} is wanted{}; put the photos there",
                 name(&found),
-                name(wanted)
+                name(wanted),
+                difference(&found)
             )
         }
         (_, _, Some(unread)) => {

@@ -1,14 +1,20 @@
-//! Photos whose names are almost those of a list: in another case, or with another ending.
+//! Files whose names are almost those of a list: in another case, with another ending, or in another of
+//! Unicode's forms.
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::alike::folded;
+
 /// Endings of the photos that are read, in small letters.
 pub const PHOTO_ENDINGS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
 
-/// Endings of videos, which ffmpeg takes photos from.
-pub const VIDEO_ENDINGS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
+/// Usual endings of videos, which ffmpeg takes photos from; it reads others, too.
+pub const VIDEO_ENDINGS: [&str; 15] = [
+    "mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "insv", "wmv",
+    "lrv",
+];
 
 /// Endings of pictures that are not, so that leaving them out is said.
 pub const UNREAD: [&str; 11] =
@@ -40,10 +46,19 @@ pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
 
 /// The folder `path`, or the only one that differs from it in case.
 pub(crate) fn folder(path: &Path) -> PathBuf {
-    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    but_for_case(path, Path::is_dir)
+}
+
+/// The file `path`, or the only one that differs from it in case.
+pub(crate) fn file(path: &Path) -> PathBuf {
+    but_for_case(path, Path::is_file)
+}
+
+fn but_for_case(path: &Path, is_kind: fn(&Path) -> bool) -> PathBuf {
+    let name = |path: &Path| folded(&path.file_name().unwrap_or_default().to_string_lossy());
     let others =
-        || entries(path.parent().unwrap_or(path)).filter(|other| other.is_dir() && name(other) == name(path));
-    match (path.is_dir(), others().next(), others().count()) {
+        || entries(path.parent().unwrap_or(path)).filter(|other| is_kind(other) && name(other) == name(path));
+    match (is_kind(path), others().next(), others().count()) {
         (false, Some(other), 1) => other,
         _ => path.to_owned(),
     }
@@ -61,7 +76,7 @@ pub(crate) struct Similar {
 }
 
 impl Similar {
-    /// The only photo in the folder of `wanted` that is called so but for case and ending.
+    /// The only photo in the folder of `wanted` that is called so but for case, ending and Unicode's form.
     pub(crate) fn find(&mut self, wanted: &Path) -> Option<PathBuf> {
         let folder = wanted.parent()?;
         let of_folder = self.folders.entry(folder.to_owned()).or_insert_with(|| photos_by_key(folder));
@@ -78,11 +93,11 @@ impl Similar {
     }
 }
 
-/// The name without the ending of a picture, in lower case.
-fn key(path: &Path) -> String {
+/// The name without the ending of a picture, folded.
+pub(crate) fn key(path: &Path) -> String {
     let is_picture = has_ending(path, &PHOTO_ENDINGS) || has_ending(path, &UNREAD);
     let name = if is_picture { path.file_stem() } else { path.file_name() };
-    name.unwrap_or_default().to_string_lossy().to_lowercase()
+    folded(&name.unwrap_or_default().to_string_lossy())
 }
 
 fn photos_by_key(folder: &Path) -> HashMap<String, Vec<PathBuf>> {

@@ -13,7 +13,7 @@ use genesplat_core::Photo;
 
 pub use evaluate::{Evaluation, ViewScore, compare, evaluate};
 pub use lpips::Lpips;
-pub use psnr::{PSNR_MAX_DB, psnr, psnr_under};
+pub use psnr::{PSNR_MAX_DB, psnr, psnr_of_mean, psnr_under};
 pub use ssim::ssim;
 
 /// Two pictures of different sizes cannot be compared.

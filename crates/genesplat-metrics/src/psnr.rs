@@ -24,6 +24,19 @@ pub fn psnr_under(mask: Option<&Mask>, a: &Photo, b: &Photo) -> Result<f64, Size
     Ok(from_squares(squared, 3 * mask.counted()))
 }
 
+/// PSNR of one colour for the whole picture, the mean of the pixels that count: what shows less than that
+/// shows something else.
+pub fn psnr_of_mean(mask: Option<&Mask>, photo: &Photo) -> Result<f64, SizeMismatch> {
+    let counts = |pixel: usize| mask.is_none_or(|mask| mask.counts[pixel]);
+    let (mut sums, mut count) = ([0_u64; 3], 0);
+    for (_, rgb) in photo.rgb.chunks_exact(3).enumerate().filter(|(pixel, _)| counts(*pixel)) {
+        sums.iter_mut().zip(rgb).for_each(|(sum, &level)| *sum += u64::from(level));
+        count += 1;
+    }
+    let mean = sums.map(|sum| (sum as f64 / f64::from(count.max(1))).round() as u8);
+    psnr_under(mask, &Photo { rgb: mean.repeat(photo.rgb.len() / 3), ..*photo }, photo)
+}
+
 /// Exact: squares of 8-bit differences are summed as integers.
 fn squares(a: &[u8], b: &[u8]) -> u64 {
     a.iter().zip(b).map(|(&x, &y)| u64::from(x.abs_diff(y)).pow(2)).sum()
@@ -54,6 +67,16 @@ mod tests {
         // One of six values off by 51 = 0.2: the mean squared error is 0.04 / 6.
         let off = psnr(&black, &photo(vec![0, 0, 51, 0, 0, 0])).unwrap();
         assert!((off - 21.760_912_590_556_81).abs() < 1e-12, "{off}");
+    }
+
+    #[test]
+    fn the_mean_colour_is_that_of_what_counts() {
+        let halves = photo(vec![0, 10, 20, 200, 10, 20]);
+        // Off by 100 in one of three channels.
+        let expected = -10.0 * (1e4_f64 / (3.0 * 255.0 * 255.0)).log10();
+        assert!((psnr_of_mean(None, &halves).unwrap() - expected).abs() < 1e-9);
+        let half = Mask { counts: vec![false, true] };
+        assert_eq!(psnr_of_mean(Some(&half), &halves).unwrap(), PSNR_MAX_DB);
     }
 
     #[test]

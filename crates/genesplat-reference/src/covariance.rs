@@ -1,6 +1,6 @@
 //! A Gaussian's own shape in the world: `Σ = R diag(s² + f²) Rᵀ`, and the way back to scales and quaternion.
 //!
-//! `f` is Mip-Splatting's 3D smoothing filter (zero for every other variant). It widens each axis and dims
+//! `f` is Mip-Splatting's 3D smoothing filter (zero for every other method). It widens each axis and dims
 //! the Gaussian by `Π s / sqrt(s² + f²)`, so that the integral along any axis is kept.
 
 use glam::{DMat3, DVec3};

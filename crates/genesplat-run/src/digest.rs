@@ -47,17 +47,17 @@ pub(crate) fn digests(
 mod tests {
     use std::mem::swap;
 
-    use genesplat_gallery::{self as gallery, Gallery, GalleryOptions};
+    use genesplat_gallery::Gallery;
     use genesplat_io::HoldOut;
 
     use super::*;
     use crate::settings::{ConfigFile, Machine};
+    use crate::small_scene;
 
     /// The parts in which a change shows.
     fn changed(change: impl Fn(&mut ConfigFile, &mut Gallery)) -> Vec<usize> {
         let of = |is_changed: bool| {
-            let options = GalleryOptions { width: 16, height: 16, views: 9, points: 20, seed: 1 };
-            let mut gallery = gallery::generate(&options);
+            let mut gallery = small_scene::gallery();
             let mut config = ConfigFile::of_scene("scene".into(), Default::default());
             if is_changed {
                 change(&mut config, &mut gallery);

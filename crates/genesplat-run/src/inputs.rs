@@ -253,19 +253,14 @@ fn changes_of(began: &PhotoDigests, now: &PhotoDigests) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use std::fs;
-    use std::sync::LazyLock;
 
-    use genesplat_gallery::{self as gallery, GalleryOptions};
     use genesplat_io::{Digest, HoldOut};
 
     use super::*;
+    use crate::small_scene;
 
     fn digests() -> SceneDigests {
-        static DIGESTS: LazyLock<SceneDigests> = LazyLock::new(|| {
-            let options = GalleryOptions { width: 16, height: 16, views: 9, points: 20, seed: 1 };
-            gallery::generate(&options).into_scene(HoldOut::EveryEighth).digests
-        });
-        DIGESTS.clone()
+        small_scene::gallery().into_scene(HoldOut::EveryEighth).digests
     }
 
     #[test]

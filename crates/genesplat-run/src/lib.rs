@@ -47,6 +47,8 @@ pub mod scene;
 pub mod score;
 pub mod session;
 pub mod settings;
+#[cfg(test)]
+mod small_scene;
 pub mod splat;
 mod tensorboard;
 mod test_curve;

@@ -25,9 +25,14 @@ pub struct Asked {
     pub is_left_out: bool,
 }
 
-/// The measure of published tables, VGG16; `None`, with a notice, where there are no weights for it.
+/// The measure of published tables, VGG16; `None` where there are no weights for it.
 pub fn open(asked: &Asked) -> Result<Option<Lpips>> {
-    let metric = open_all(asked)?.into_iter().find(|metric| metric.net() == Net::Vgg16);
+    Ok(open_all(asked)?.into_iter().find(|metric| metric.net() == Net::Vgg16))
+}
+
+/// The same for who asks for figures: that LPIPS is not among them is said there, and not in every command.
+pub fn open_or_notify(asked: &Asked) -> Result<Option<Lpips>> {
+    let metric = open(asked)?;
     if metric.is_none() && !asked.is_left_out {
         notify_absent(Net::Vgg16);
     }

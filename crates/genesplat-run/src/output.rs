@@ -5,6 +5,7 @@ use std::sync::{Mutex, OnceLock};
 
 use anyhow::Result;
 use genesplat_io::LoadProgress;
+use genesplat_io::format::WriteProgress;
 
 /// Somebody who hears what a run says: a terminal, a notebook, a log.
 pub trait Tell: Send + Sync {
@@ -14,6 +15,8 @@ pub trait Tell: Send + Sync {
     fn tell(&self, text: &str);
     /// A notice that can wait for the end.
     fn note(&self, text: &str);
+    /// What helps to find a fault, and nobody needs else.
+    fn detail(&self, text: &str);
     /// Work that takes its time begins.
     fn begin(&self, work: &Work<'_>) -> Box<dyn Progress>;
     /// Calls `ask`, while what graphics drivers write to stderr is of no interest.
@@ -67,6 +70,13 @@ pub fn note(text: &str) {
     }
 }
 
+/// Says what helps to find a fault, and nobody needs else.
+pub fn detail(text: &str) {
+    if let Some(listener) = LISTENER.get() {
+        listener.detail(text);
+    }
+}
+
 /// What `ask` returns, while what graphics drivers write to stderr is of no interest.
 pub fn without_drivers<T>(ask: impl FnOnce() -> T) -> T {
     let (mut ask, mut answer) = (Some(ask), None);
@@ -116,20 +126,47 @@ impl Bar {
     }
 }
 
+/// A bar that many threads move, once they know of how many pieces.
+#[derive(Default)]
+struct Counted(Mutex<Option<(u64, Bar)>>);
+
+impl Counted {
+    fn start(&self, bar: Bar) {
+        *self.0.lock().expect("no thread panics while it holds this") = Some((0, bar));
+    }
+
+    fn add(&self, pieces: usize) {
+        if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
+            *done += pieces as u64;
+            bar.set(*done, String::new);
+        }
+    }
+}
+
 /// How many photos of a scene are loaded.
 #[derive(Default)]
-pub struct LoadBar(Mutex<Option<(u64, Bar)>>);
+pub struct LoadBar(Counted);
 
 impl LoadProgress for LoadBar {
     fn start(&self, photos: usize) {
-        *self.0.lock().expect("no thread panics while it holds this") =
-            Some((0, Bar::new("photos", photos as u64)));
+        self.0.start(Bar::new("photos", photos as u64));
     }
 
     fn photo_done(&self) {
-        if let Some((done, bar)) = self.0.lock().expect("no thread panics while it holds this").as_mut() {
-            *done += 1;
-            bar.set(*done, String::new);
-        }
+        self.0.add(1);
+    }
+}
+
+/// How much of a splat is written.
+#[derive(Default)]
+pub struct WriteBar(Counted);
+
+impl WriteProgress for WriteBar {
+    fn start(&self, parts: usize) {
+        self.0.start(Bar::fleeting("written", 0, parts as u64));
+    }
+
+    fn done(&self, parts: usize) {
+        self.0.add(parts);
     }
 }

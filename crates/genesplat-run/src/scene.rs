@@ -3,9 +3,9 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use genesplat_core::View;
-use genesplat_io::{LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene};
+use genesplat_io::{Doubt, LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
 use genesplat_train::scene::initialise::ColouredPoint;
 
 use crate::exposure::ExposureUse;
@@ -18,8 +18,11 @@ use crate::settings::Dataset;
 /// trained.
 pub const PHOTO_MEMORY: u64 = 1 << 30;
 
+/// Fewer photos show a scene from so few places that no splat of them shows it from others.
+pub const PHOTOS_MIN: usize = 10;
+
 /// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go
-/// that memory should not hold.
+/// that memory should not hold. Of its doubts, [`check_promising`] tells.
 pub fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
     let with_tracks = dataset.exposure != ExposureUse::Off;
     let options = LoadOptions { seed, spill, with_tracks, ..dataset.options() };
@@ -33,7 +36,32 @@ pub fn load_to_inspect(dataset: &Dataset, seed: u64) -> Result<Scene> {
 
 /// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`.
 pub(crate) fn load_to_look(dataset: &Dataset, divisor: u32, background: [f32; 3]) -> Result<Scene> {
-    told(read(&dataset.path, background, LoadOptions { divisor, with_points: false, ..dataset.options() }))
+    let options = LoadOptions { divisor, with_points: false, ..dataset.options() };
+    told(read(&dataset.path, background, options))
+}
+
+/// Why to train on a scene makes no sense.
+pub fn doubts(scene: &Scene) -> Vec<Doubt> {
+    let photos = scene.train.len() + scene.test.len();
+    let few = (photos < PHOTOS_MIN).then(|| Doubt {
+        problem: format!(
+            "the scene has {photos} {} with cameras, and from fewer than {PHOTOS_MIN} no splat learns how it looks from elsewhere",
+            plural(photos, "photo", "photos")
+        ),
+        remedy: "take more of them (30 to 200 are usual), or go on with --anyway".into(),
+    });
+    scene.doubts.iter().cloned().chain(few).collect()
+}
+
+/// Fails where to train on a scene makes no sense; `anyway`, that is a notice.
+pub fn check_promising(scene: &Scene, anyway: bool) -> Result<()> {
+    for doubt in doubts(scene) {
+        if !anyway {
+            bail!("{doubt}");
+        }
+        output::tell(&format!("notice: {}", doubt.problem));
+    }
+    Ok(())
 }
 
 fn read(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {

@@ -146,7 +146,7 @@ pub struct Dataset {
     /// Near plane of all cameras, world units; left out for the usual one, or a nearer one in a small scene.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near: Option<f64>,
-    /// What masks and transparency mean: `usual`, `ignore` or `transparent`.
+    /// What masks and transparency mean: `usual`, `ignore`, `transparent` or `off`.
     #[serde(skip_serializing_if = "is_default")]
     pub mask: MaskUse,
     /// Whether photos are brought to one exposure before training: `auto` (where the points that they share say

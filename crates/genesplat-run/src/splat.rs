@@ -55,6 +55,13 @@ impl Splat {
     ///
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
+        let scene = self.load_scene_to_train(data, asked)?;
+        scene.doubts.iter().for_each(|doubt| output::tell(&format!("notice: {}", doubt.problem)));
+        Ok(scene)
+    }
+
+    /// The same, without a word about its doubts.
+    pub fn load_scene_to_train(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
         let mut scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
         // Photos of another folder are asked for as such.
@@ -76,6 +83,14 @@ impl Splat {
         let is_known =
             |name: &str| asked.images.is_some() || digest(&began.scene, name) == digest(&scene.digests, name);
         Some(began.exposure.as_ref()?.only(is_known))
+    }
+
+    /// Whether it is that of a run which began with a photo of this scene.
+    pub fn began_with(&self, scene: &Scene) -> bool {
+        self.began_with.as_ref().is_some_and(|(_, began)| {
+            let now = |name: &str| scene.digests.photo(name).map(|digests| digests.photo);
+            began.scene.photos.iter().any(|photo| now(&photo.name) == Some(photo.photo))
+        })
     }
 
     /// The name of the view in `data` that is called `name`.
@@ -187,6 +202,14 @@ fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {
     let loaded = read(path)?;
     let is_empty = loaded.cloud.is_empty();
     ensure!(!is_empty, "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
+    if loaded.sh_degree_in_file > loaded.sh_degree {
+        output::tell(&format!(
+            "notice: {} has spherical harmonics of degree {}, which are read up to degree {}",
+            shown(path),
+            loaded.sh_degree_in_file,
+            loaded.sh_degree
+        ));
+    }
     if loaded.is_2dgs {
         output::tell(&format!(
             "notice: the Gaussians of {} are flat (2DGS, without scale_2); here they are 1e-6 world units thick",

@@ -146,15 +146,25 @@ pub struct MachineArgs {
     /// Where to compute; results do not depend on the number of threads, but may on the kind of device
     /// [default: auto]
     #[arg(long, value_name = "DEVICE", value_parser = choice(DEVICES))]
-    pub device: Option<DeviceChoice>,
+    device: Option<DeviceChoice>,
+    /// What other trainers call `--device gpu`.
+    #[arg(long, hide = true, conflicts_with = "device")]
+    gpu: bool,
     /// Processor threads to use, 1 to 1024 [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS), help_heading = MORE)]
     pub threads: Option<u16>,
 }
 
+impl MachineArgs {
+    /// Where to compute, if anything is asked for.
+    pub fn device(self) -> Option<DeviceChoice> {
+        self.device.or(self.gpu.then_some(DeviceChoice::Gpu))
+    }
+}
+
 impl From<MachineArgs> for Machine {
-    fn from(MachineArgs { device, threads }: MachineArgs) -> Self {
-        Self { device, threads }
+    fn from(asked: MachineArgs) -> Self {
+        Self { device: asked.device(), threads: asked.threads }
     }
 }
 

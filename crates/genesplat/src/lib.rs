@@ -12,7 +12,7 @@
 //! | [`cluster`] | a cloud over many processes: the CPU backend, dealt out to ranks |
 //! | [`kernels`] | the numeric stages: the f64 reference and the CPU backend |
 //! | [`evolve`] | the genetic algorithm, without a renderer |
-//! | [`train`] | the training algorithm, the evolution stage |
+//! | [`train`] | the training algorithm: methods, density control, the search |
 //! | [`viewer`] | the live page: a small server on loopback, and what it shows |
 //! | [`metrics`] | PSNR, SSIM and LPIPS, of two pictures and of all test photos |
 //! | [`run`] | a run: settings, its folder, training into it, figures and pages |

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
-use crate::listing::{bad_pose, intrinsics_problem, position_problem};
+use crate::listing::{bad_pose, intrinsics_problem, lost_poses, position_problem};
 use crate::photos::Lens;
 use crate::scene::Point;
 use crate::{plural, shown};
@@ -66,22 +66,7 @@ pub(super) fn images(
             false => lost.push(image.name),
         }
     }
-    let notice = match lost.first() {
-        Some(first) if records.is_empty() => return Err(bad_pose(file, first, "is not finite")),
-        Some(first) => Some(format!(
-            "{} of the {} photos that {} lists {}, first {}",
-            lost.len(),
-            lost.len() + records.len(),
-            shown(file),
-            plural(
-                lost.len(),
-                "has a pose that is not finite and is left out",
-                "have poses that are not finite and are left out"
-            ),
-            shown(first)
-        )),
-        None => None,
-    };
+    let notice = lost_poses(&lost, lost.len() + records.len(), file)?;
     Ok(Finite { records, notice })
 }
 
@@ -100,7 +85,7 @@ fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
 }
 
 /// The points of a file: position in world units, and colour.
-pub(super) fn points(
+pub(crate) fn points(
     file: &Path,
     all: impl Iterator<Item = Result<([f64; 3], [u8; 3]), SceneError>>,
 ) -> Result<Finite<Point>, SceneError> {

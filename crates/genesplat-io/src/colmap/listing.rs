@@ -11,24 +11,48 @@ use super::tracks::read_seen;
 use super::{ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out_notice, no_photos,
-    separate, similar_notice,
+    Elsewhere, ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out,
+    no_photos, separate, similar_notice,
 };
 use crate::photos::Lens;
 use crate::scene::LoadOptions;
 use crate::shown;
 use crate::similar::{self, Similar, entries};
 
-/// Lists the photos and, if they are wanted, the points and who sees them of the model in `folder`; photos are in
-/// `image_folder`.
+/// Where the photos of a model are.
+pub(crate) struct PhotoFolder {
+    pub(crate) path: PathBuf,
+    /// Nobody has asked for it, so photos beside their list are meant where it has none.
+    pub(crate) is_usual: bool,
+}
+
+impl PhotoFolder {
+    /// This one, or that of the list, or that of the scene: the first that has a photo of `images`; and
+    /// whether it is another.
+    fn settled(&self, images: &[ImageRecord], list: &Path) -> (PathBuf, bool) {
+        let own = similar::folder(&self.path);
+        let beside = [list.parent(), self.path.parent()].into_iter().flatten().filter(|_| self.is_usual);
+        let has = |folder: &&Path, name: &str| folder.join(name).is_file();
+        let has_any = |folder: &&Path| {
+            let names = images.iter().map(|image| &*image.name);
+            names
+                .filter(|name| inside(name, list).is_ok())
+                .any(|name| has(folder, name) || has(folder, base_name(name)))
+        };
+        let found = [&*own].into_iter().chain(beside).find(has_any).map(Path::to_owned);
+        found.filter(|found| *found != own).map_or((own, false), |found| (found, true))
+    }
+}
+
+/// Lists the photos and, if they are wanted, the points and who sees them of the model in `folder`.
 pub(crate) fn list(
     folder: &ModelFolder,
-    image_folder: &Path,
+    given: &PhotoFolder,
     options: &LoadOptions,
 ) -> Result<Listing, SceneError> {
     let with_points = options.with_points;
     let mut model = if with_points { read_model(folder)? } else { read_photos(folder)? };
-    model.images.iter_mut().for_each(|image| separate(&mut image.name, image_folder));
+    model.images.iter_mut().for_each(|image| separate(&mut image.name, &given.path));
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
         return Err(no_photos(&list));
@@ -36,18 +60,17 @@ pub(crate) fn list(
     let mut notices = Vec::from_iter(other_models(&folder.path));
     let is_one_of_several = !notices.is_empty();
     notices.append(&mut model.notices);
-    let photos = find_photos(&model.images, image_folder, &list, &mut notices)?;
-    if !is_one_of_several {
-        notices.extend(left_out_notice(photos.iter().map(|(_, path)| &**path), &list));
+    let (image_folder, is_beside) = given.settled(&model.images, &list);
+    if is_beside {
+        notices.push(format!("the photos are those in {}, beside their list", shown(&image_folder)));
     }
-    let seen = if with_points && options.with_tracks { read_seen(folder)? } else { BTreeMap::new() };
-    let mut seen: BTreeMap<String, Vec<u32>> = seen
-        .into_iter()
-        .map(|(mut name, points)| {
-            separate(&mut name, image_folder);
-            (name, points)
-        })
-        .collect();
+    let photos = find_photos(&model.images, &image_folder, &list, &mut notices)?;
+    let left_out = left_out(photos.iter().map(|(_, path)| &**path));
+    if !is_one_of_several {
+        notices.extend(left_out.as_ref().and_then(|left_out| left_out.notice(&list)));
+    }
+    let doubts = Vec::from_iter(left_out.and_then(|left_out| left_out.doubt(&list)));
+    let mut seen = seen(folder, &given.path, options)?;
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
@@ -58,7 +81,23 @@ pub(crate) fn list(
     let points_file = points_file(folder);
     let has_points = if with_points { !model.points.is_empty() } else { has_points(&points_file) };
     let (points, points_digest) = (model.points, None);
-    Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices })
+    Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts })
+}
+
+/// The points that each photo sees, by its name, where somebody asks for them.
+fn seen(
+    folder: &ModelFolder,
+    image_folder: &Path,
+    options: &LoadOptions,
+) -> Result<BTreeMap<String, Vec<u32>>, SceneError> {
+    if !options.with_points || !options.with_tracks {
+        return Ok(BTreeMap::new());
+    }
+    let named = |(mut name, points): (String, Vec<u32>)| {
+        separate(&mut name, image_folder);
+        (name, points)
+    };
+    Ok(read_seen(folder)?.into_iter().map(named).collect())
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {
@@ -88,7 +127,7 @@ fn find_photos<'a>(
     list: &Path,
     notices: &mut Vec<String>,
 ) -> Result<Vec<(&'a ImageRecord, PathBuf)>, SceneError> {
-    let (folder, mut similar) = (similar::folder(folder), Similar::default());
+    let mut similar = Similar::default();
     let (mut found, mut missing) = (Vec::with_capacity(images.len()), Vec::new());
     for image in images {
         let whole = folder.join(inside(&image.name, list)?);
@@ -100,17 +139,23 @@ fn find_photos<'a>(
         }
     }
     if let (true, Some(wanted)) = (found.is_empty(), missing.first()) {
-        return Err(all_missing(wanted, images.len(), list, beside(&folder, &images[0].name).as_deref()));
+        return Err(all_missing(wanted, images.len(), list, beside(folder, &images[0].name).as_ref()));
     }
     notices.extend(similar_notice(similar, list));
     notices.extend(absent_notice(&missing, images.len(), list));
     Ok(found)
 }
 
-/// Another folder beside that of the photos, where the photo `name` is.
-fn beside(folder: &Path, name: &str) -> Option<PathBuf> {
-    let holds = |other: &PathBuf| other != folder && other.join(name).is_file();
-    entries(folder.parent()?).filter(holds).min()
+/// Another folder beside that of the photos, or beside that of their scene, where the photo `name` is.
+fn beside(folder: &Path, name: &str) -> Option<Elsewhere> {
+    let holds = |other: &PathBuf| {
+        other != folder && [name, base_name(name)].iter().any(|name| other.join(name).is_file())
+    };
+    let in_place = |place: &Path| entries(place).filter(holds).min();
+    let scene = folder.parent()?;
+    let here =
+        in_place(scene).map(|path| Elsewhere { given: path.file_name().unwrap_or_default().into(), path });
+    here.or_else(|| in_place(scene.parent()?).map(|path| Elsewhere { given: path.clone(), path }))
 }
 
 /// A notice where COLMAP split the photos into several models, of which one is used.

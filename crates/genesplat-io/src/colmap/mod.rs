@@ -21,8 +21,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-pub(crate) use check::{Finite, Judged};
-pub(crate) use listing::list;
+pub(crate) use check::{Finite, Judged, points as finite_points};
+pub(crate) use listing::{PhotoFolder, list};
 pub(crate) use tracks::parse_tracks;
 pub use write::write_model;
 
@@ -108,8 +108,15 @@ pub(crate) fn find_nested_model(scene: &Path) -> Option<ModelFolder> {
     find_model_in(scene, ["colmap/sparse", "colmap"])
 }
 
+/// The model in a folder that is none of a scene: in its `sparse`, in it itself, or in its numbered parts.
+pub(crate) fn find_any_model(folder: &Path) -> Option<ModelFolder> {
+    let model = find_model(folder).or_else(|| find_model_in(folder, ["", ""]))?;
+    model.form.file(&model.path, "images").is_file().then_some(model)
+}
+
 fn find_model_in(scene: &Path, [sparse, whole]: [&str; 2]) -> Option<ModelFolder> {
-    let [sparse, whole] = [sparse, whole].map(|folder| scene.join(folder));
+    let below = |folder: &str| if folder.is_empty() { scene.to_owned() } else { scene.join(folder) };
+    let [sparse, whole] = [sparse, whole].map(below);
     let mut parts = part_models(&sparse);
     if parts.len() > 1 {
         // Of equal ones, the first.
@@ -176,7 +183,7 @@ fn read_points(folder: &ModelFolder) -> Result<Finite<Point>, SceneError> {
     match ending {
         // Whoever knows the cameras from elsewhere may have none.
         _ if !file.exists() => Ok(Finite { records: Vec::new(), notice: None }),
-        Some("ply") => Ok(Finite { records: ply::read_points(&file)?, notice: None }),
+        Some("ply") => ply::read_points(&file),
         Some("bin") => parse_points(Form::Binary, &file, &read(&file)?),
         _ => parse_points(Form::Text, &file, &read(&file)?),
     }
@@ -212,7 +219,7 @@ pub(crate) fn parse_cameras(
 ) -> Result<BTreeMap<u32, Judged>, SceneError> {
     match form {
         Form::Binary => binary::cameras(file, bytes),
-        Form::Text => text::cameras(file, bytes),
+        Form::Text => text::cameras(file, &input::as_utf8(bytes)),
     }
 }
 
@@ -220,7 +227,7 @@ pub(crate) fn parse_cameras(
 pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
     match form {
         Form::Binary => binary::images(file, bytes),
-        Form::Text => text::images(file, bytes),
+        Form::Text => text::images(file, &input::as_utf8(bytes)),
     }
 }
 
@@ -228,7 +235,7 @@ pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Fini
 pub(crate) fn parse_points(form: Form, file: &Path, bytes: &[u8]) -> Result<Finite<Point>, SceneError> {
     match form {
         Form::Binary => binary::points(file, bytes),
-        Form::Text => text::points(file, bytes),
+        Form::Text => text::points(file, &input::as_utf8(bytes)),
     }
 }
 

@@ -8,7 +8,6 @@ use super::check::{self, Finite, Judged};
 use super::tracks::Tracks;
 use super::{ImageRecord, models};
 use crate::error::SceneError;
-use crate::input::without_mark;
 use crate::scene::Point;
 
 const CAMERA: &str = "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS";
@@ -72,7 +71,6 @@ impl<'a> Fields<'a> {
 /// Lines that are not comments; blank ones are kept, because a photo without features has a blank second
 /// line.
 fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Line<'a>>, SceneError> {
-    let bytes = without_mark(bytes);
     let text = std::str::from_utf8(bytes).map_err(|error| {
         let number = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
         SceneError::Syntax { file: file.to_owned(), line: number, expected: "UTF-8 text" }

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use super::{Form, ModelFolder, binary, points_file, read, text};
 use crate::error::SceneError;
+use crate::input;
 
 /// The photos that see each point, by COLMAP's ids of photos; points are those that training keeps, in file
 /// order.
@@ -77,7 +78,7 @@ pub(super) fn read_seen(folder: &ModelFolder) -> Result<BTreeMap<String, Vec<u32
 fn parse_photo_ids(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, String>, SceneError> {
     let photos = match form {
         Form::Binary => binary::photo_ids(file, bytes),
-        Form::Text => text::photo_ids(file, bytes),
+        Form::Text => text::photo_ids(file, &input::as_utf8(bytes)),
     }?;
     let mut names: BTreeMap<u32, Option<String>> = BTreeMap::new();
     for (id, name) in photos {
@@ -90,7 +91,7 @@ fn parse_photo_ids(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32
 pub(crate) fn parse_tracks(form: Form, file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
     match form {
         Form::Binary => binary::tracks(file, bytes),
-        Form::Text => text::tracks(file, bytes),
+        Form::Text => text::tracks(file, &input::as_utf8(bytes)),
     }
 }
 

@@ -180,10 +180,10 @@ impl Table<'_> {
 
 pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> {
     let text = preamble(&mut &bytes[..], path)?;
-    if !text.is_binary() || text.elements.iter().any(|element| element.has_list) {
+    if !text.is_little_endian() || text.elements.iter().any(|element| element.has_list) {
         return Err(FormatError::damaged(
             path,
-            "is a compressed PLY with words or lists in it, and those have none",
+            "is a compressed PLY with words or lists in it, or with its highest bytes first, and those have none",
         ));
     }
     let tables = tables(path, &text.elements, &bytes[text.bytes as usize..])?;

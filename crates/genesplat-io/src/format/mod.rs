@@ -100,8 +100,10 @@ pub struct Loaded {
     pub cloud: Gaussians,
     /// What the file is.
     pub format: Format,
-    /// Highest degree of the spherical harmonics that the file holds, 0 to 3.
+    /// Highest degree of the spherical harmonics that were read, 0 to 3.
     pub sh_degree: u8,
+    /// Highest degree in the file; those above 3 are left out.
+    pub sh_degree_in_file: u8,
     /// How a viewer should filter; `None` where the file does not say.
     pub screen_filter: Option<ScreenFilter>,
     /// The file holds flat Gaussians (2DGS); here they are 1e-6 world units thick.
@@ -128,6 +130,19 @@ impl Default for Options {
             spz_version: SpzVersion::default(),
         }
     }
+}
+
+/// Is told how far writing is; called from many threads. Formats that are written at once tell nothing.
+pub trait WriteProgress: Sync {
+    /// Writing of so many parts begins.
+    fn start(&self, parts: usize);
+    /// So many more are done; there may turn out to be fewer parts.
+    fn done(&self, parts: usize);
+}
+
+impl WriteProgress for () {
+    fn start(&self, _parts: usize) {}
+    fn done(&self, _parts: usize) {}
 }
 
 /// What a codec makes of a file.
@@ -174,10 +189,11 @@ fn checked(path: &Path, loaded: Loaded) -> Result<Loaded, FormatError> {
 }
 
 fn finished(format: Format, decoded: Decoded) -> Loaded {
-    let Decoded { mut cloud, sh_degree, screen_filter, is_2dgs } = decoded;
+    let Decoded { mut cloud, sh_degree: sh_degree_in_file, screen_filter, is_2dgs } = decoded;
+    let sh_degree = sh_degree_in_file.min(SH_DEGREE_MAX);
     packing::clamp_opacities(&mut cloud);
     packing::clamp_log_scales(&mut cloud);
-    Loaded { cloud, format, sh_degree, screen_filter, is_2dgs }
+    Loaded { cloud, format, sh_degree, sh_degree_in_file, screen_filter, is_2dgs }
 }
 
 fn decode(path: &Path, format: Format) -> Result<Decoded, FormatError> {
@@ -211,6 +227,20 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
 /// # Panics
 /// If the columns of `cloud` have different lengths.
 pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<u64, FormatError> {
+    write_told(path, format, cloud, options, &())
+}
+
+/// The same, while `progress` is told how far it is.
+///
+/// # Panics
+/// If the columns of `cloud` have different lengths.
+pub fn write_told(
+    path: &Path,
+    format: Format,
+    cloud: &Gaussians,
+    options: &Options,
+    progress: &dyn WriteProgress,
+) -> Result<u64, FormatError> {
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     if format == Format::Ply {
         write_ply(path, cloud, &ply_options(options))?;
@@ -218,7 +248,7 @@ pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) 
             fs::metadata(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
         return Ok(written.len());
     }
-    let bytes = to_bytes(path, format, cloud, options)?;
+    let bytes = to_bytes(path, format, cloud, options, progress)?;
     let written = write_atomically(path, |out| out.write_all(&bytes));
     written.map_err(|source| FormatError::Write { path: path.to_owned(), source })?;
     Ok(bytes.len() as u64)
@@ -233,6 +263,7 @@ pub fn to_bytes(
     format: Format,
     cloud: &Gaussians,
     options: &Options,
+    progress: &dyn WriteProgress,
 ) -> Result<Vec<u8>, FormatError> {
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     let baked = || baked(path, cloud, options);
@@ -244,8 +275,8 @@ pub fn to_bytes(
         }
         Format::CompressedPly => Ok(compressed_ply::encode(&baked()?, options)),
         Format::Splat => Ok(splat::encode(&baked()?)),
-        Format::Spz => spz::encode(path, &baked()?, options),
-        Format::Sog => sog::encode(path, &baked()?, options),
+        Format::Spz => spz::encode(path, &baked()?, options, progress),
+        Format::Sog => sog::encode(path, &baked()?, options, progress),
         Format::Glb => glb::encode(path, baked()?),
     }
 }

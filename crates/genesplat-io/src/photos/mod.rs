@@ -68,6 +68,14 @@ pub enum PhotoError {
     },
 }
 
+impl PhotoError {
+    /// The file.
+    pub(crate) fn path(&self) -> &Path {
+        let (Self::Read { path, .. } | Self::Decode { path, .. } | Self::Write { path, .. }) = self;
+        path
+    }
+}
+
 /// A photo of which the header is read, and no pixel.
 ///
 /// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the

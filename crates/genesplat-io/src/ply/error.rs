@@ -40,7 +40,7 @@ pub enum PlyError {
     },
     /// Not a PLY file, or a header that breaks the format's grammar.
     #[error(
-        "{} is not a PLY file that genesplat can read: {problem}; export it again as binary little-endian PLY",
+        "{} is not a PLY file that genesplat can read: {problem}; copy or export it again",
         shown(.path)
     )]
     Header {
@@ -72,16 +72,6 @@ pub enum PlyError {
         path: PathBuf,
         /// What is wrong, and what to do.
         problem: String,
-    },
-    /// A point where no scene has one.
-    #[error("{}: the position of row {row} {problem}; remove it in a splat editor", shown(.path))]
-    Position {
-        /// The file.
-        path: PathBuf,
-        /// 0-based.
-        row: usize,
-        /// What is wrong with it.
-        problem: &'static str,
     },
     /// A Gaussian that cannot be shown.
     #[error("{}: {fault}; `{}` leaves such Gaussians out", shown(.path), convert(.path))]

@@ -14,24 +14,31 @@ pub(super) struct Field {
     pub(super) scalar: Scalar,
     /// Bytes from the start of the row.
     pub(super) offset: usize,
+    /// Its highest byte comes first.
+    pub(super) is_big_endian: bool,
 }
 
 impl Field {
     pub(super) fn value(self, row: &[u8]) -> f32 {
-        fn bytes<const K: usize>(row: &[u8], offset: usize) -> [u8; K] {
-            std::array::from_fn(|i| row[offset + i])
-        }
-        let at = self.offset;
         match self.scalar {
-            Scalar::F32 => f32::from_le_bytes(bytes(row, at)),
-            Scalar::F64 => f64::from_le_bytes(bytes(row, at)) as f32,
-            Scalar::I8 => f32::from(row[at] as i8),
-            Scalar::U8 => f32::from(row[at]),
-            Scalar::I16 => f32::from(i16::from_le_bytes(bytes(row, at))),
-            Scalar::U16 => f32::from(u16::from_le_bytes(bytes(row, at))),
-            Scalar::I32 => i32::from_le_bytes(bytes(row, at)) as f32,
-            Scalar::U32 => u32::from_le_bytes(bytes(row, at)) as f32,
+            Scalar::F32 => f32::from_le_bytes(self.bytes(row)),
+            Scalar::F64 => f64::from_le_bytes(self.bytes(row)) as f32,
+            Scalar::I8 => f32::from(row[self.offset] as i8),
+            Scalar::U8 => f32::from(row[self.offset]),
+            Scalar::I16 => f32::from(i16::from_le_bytes(self.bytes(row))),
+            Scalar::U16 => f32::from(u16::from_le_bytes(self.bytes(row))),
+            Scalar::I32 => i32::from_le_bytes(self.bytes(row)) as f32,
+            Scalar::U32 => u32::from_le_bytes(self.bytes(row)) as f32,
         }
+    }
+
+    /// Its bytes, the lowest first.
+    fn bytes<const K: usize>(self, row: &[u8]) -> [u8; K] {
+        let mut bytes: [u8; K] = std::array::from_fn(|i| row[self.offset + i]);
+        if self.is_big_endian {
+            bytes.reverse();
+        }
+        bytes
     }
 }
 

@@ -4,6 +4,7 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 use genesplat_core::ScreenFilter;
+use genesplat_core::spherical_harmonics::coefficients;
 
 use super::field::{Field, Property, Scalar};
 use super::{PlyError, PlyOptions};
@@ -14,7 +15,7 @@ use crate::shown;
 pub struct PlyHeader {
     /// Number of Gaussians.
     pub gaussians: u64,
-    /// Highest degree of the spherical harmonics that are stored, 0 to 3.
+    /// Highest degree of the spherical harmonics that are stored; those above 3 are not read.
     pub sh_degree: u8,
     /// True for Mip-Splatting's 3D filter.
     pub has_filter_3d: bool,
@@ -22,7 +23,7 @@ pub struct PlyHeader {
     pub is_2dgs: bool,
     /// How a viewer should filter; `None` when the file does not say.
     pub screen_filter: Option<ScreenFilter>,
-    /// Header comments in order.
+    /// Header comments in order; what is not UTF-8 in them is replaced.
     pub comments: Vec<String>,
     pub(super) encoding: Encoding,
     pub(super) properties: Vec<Property>,
@@ -48,14 +49,22 @@ impl PlyHeader {
         })
     }
 
-    pub(super) fn has_positions(&self) -> bool {
-        let has = |name| self.properties.iter().any(|property| property.name == name);
-        ["x", "y", "z"].into_iter().all(has)
+    pub(super) fn has_all(&self, names: [&str; 3]) -> bool {
+        names.into_iter().all(|name| self.properties.iter().any(|property| property.name == name))
+    }
+
+    /// Whether all of these are floats.
+    pub(super) fn are_floats(&self, names: [&str; 3]) -> bool {
+        let is_float = |name| {
+            let of_name = self.properties.iter().find(|property| property.name == name);
+            of_name.is_some_and(|property| property.field.scalar.is_float())
+        };
+        names.into_iter().all(is_float)
     }
 
     /// What a file without Gaussians seems to be.
     fn kind(&self) -> &'static str {
-        match self.has_positions() {
+        match self.has_all(["x", "y", "z"]) {
             _ if self.has_faces => "a mesh",
             true => "a point cloud",
             false => "not the kind of cloud that is needed here",
@@ -87,6 +96,8 @@ pub(super) enum Encoding {
 /// What the text at the start of a file declares.
 pub(crate) struct Preamble {
     encoding: Encoding,
+    /// Of binary values, the highest byte comes first.
+    is_big_endian: bool,
     pub(crate) comments: Vec<String>,
     /// In the order of the file.
     pub(crate) elements: Vec<Element>,
@@ -104,9 +115,9 @@ pub(crate) struct Element {
 }
 
 impl Preamble {
-    /// False for a file whose rows are words.
-    pub(crate) fn is_binary(&self) -> bool {
-        self.encoding == Encoding::Binary
+    /// False for a file whose rows are words, or have their highest bytes first.
+    pub(crate) fn is_little_endian(&self) -> bool {
+        self.encoding == Encoding::Binary && !self.is_big_endian
     }
 }
 
@@ -130,16 +141,20 @@ const HEADER_BYTES_MAX: u64 = 1 << 20;
 
 /// Reads the header from the start of a file, and its length in bytes.
 pub(super) fn read(reader: &mut impl BufRead, path: &Path) -> Result<(PlyHeader, u64), PlyError> {
-    let Preamble { encoding, comments, elements, bytes } = preamble(reader, path)?;
+    let preamble = preamble(reader, path)?;
+    let (bytes, is_big_endian) = (preamble.bytes, preamble.is_big_endian);
     let bad = |problem: String| PlyError::Header { path: path.to_owned(), problem };
-    Ok((assemble(elements, comments, encoding).map_err(bad)?, bytes))
+    let mut header = assemble(preamble).map_err(bad)?;
+    header.properties.iter_mut().for_each(|property| property.field.is_big_endian = is_big_endian);
+    Ok((header, bytes))
 }
 
 /// Reads the text at the start of a file.
 pub(crate) fn preamble(reader: &mut impl BufRead, path: &Path) -> Result<Preamble, PlyError> {
     let bytes = header_bytes(reader, path)?;
     let bad = |problem: String| PlyError::Header { path: path.to_owned(), problem };
-    let text = std::str::from_utf8(&bytes).map_err(|_| bad("its header is not text".into()))?;
+    // Comments have any bytes, as programs and people write them.
+    let text = String::from_utf8_lossy(&bytes);
     let mut comments = Vec::new();
     let mut elements = Vec::new();
     let mut encoding = None;
@@ -154,8 +169,8 @@ pub(crate) fn preamble(reader: &mut impl BufRead, path: &Path) -> Result<Preambl
             other => return Err(bad(format!("its header has the unknown keyword {other:?}"))),
         }
     }
-    let encoding = encoding.ok_or_else(|| bad("its header states no format".into()))?;
-    Ok(Preamble { encoding, comments, elements, bytes: bytes.len() as u64 })
+    let (encoding, is_big_endian) = encoding.ok_or_else(|| bad("its header states no format".into()))?;
+    Ok(Preamble { encoding, is_big_endian, comments, elements, bytes: bytes.len() as u64 })
 }
 
 /// Everything up to and including the line `end_header`.
@@ -178,11 +193,12 @@ fn header_bytes(reader: &mut impl BufRead, path: &Path) -> Result<Vec<u8>, PlyEr
     }
 }
 
-fn parse_encoding(format: &str) -> Result<Encoding, String> {
+/// The encoding, and whether the highest bytes come first.
+fn parse_encoding(format: &str) -> Result<(Encoding, bool), String> {
     match format.split(' ').next() {
-        Some("binary_little_endian") => Ok(Encoding::Binary),
-        Some("ascii") => Ok(Encoding::Ascii),
-        Some("binary_big_endian") => Err("it is big-endian, and only little-endian files are read".into()),
+        Some("binary_little_endian") => Ok((Encoding::Binary, false)),
+        Some("binary_big_endian") => Ok((Encoding::Binary, true)),
+        Some("ascii") => Ok((Encoding::Ascii, false)),
         _ => Err(format!("its format {format:?} is unknown")),
     }
 }
@@ -205,17 +221,14 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
     }
     let scalar = Scalar::parse(kind)
         .ok_or_else(|| format!("property {} has the unknown type {kind:?}", shown(name)))?;
-    let field = Field { scalar, offset: element.row_bytes };
+    let field = Field { scalar, offset: element.row_bytes, is_big_endian: false };
     element.properties.push(Property { name: name.trim().into(), field });
     element.row_bytes += scalar.bytes();
     Ok(())
 }
 
-fn assemble(
-    mut elements: Vec<Element>,
-    comments: Vec<String>,
-    encoding: Encoding,
-) -> Result<PlyHeader, String> {
+fn assemble(preamble: Preamble) -> Result<PlyHeader, String> {
+    let Preamble { mut elements, comments, encoding, .. } = preamble;
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
     let before = before(&elements[..at], encoding)?;
     let has_faces = elements.iter().any(|element| element.name == "face");
@@ -267,9 +280,11 @@ fn fixed_length(element: &Element) -> Result<u64, String> {
 
 /// Degree of spherical harmonics with `rest` coefficients beyond the base colour: `3 (degree + 1)² − 3`.
 fn degree(rest: usize) -> Result<u8, String> {
-    (0..=3).find(|&degree| 3 * (usize::from(degree) + 1).pow(2) - 3 == rest).ok_or_else(|| {
+    /// Higher than any trainer goes.
+    const DEGREE_MAX: u8 = 8;
+    (0..=DEGREE_MAX).find(|&degree| 3 * coefficients(degree) - 3 == rest).ok_or_else(|| {
         format!(
-            "it has {rest} f_rest properties, where spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45"
+            "it has {rest} f_rest properties, where spherical harmonics of degree 0 to 4 have 0, 9, 24, 45 or 72"
         )
     })
 }

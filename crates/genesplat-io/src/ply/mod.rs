@@ -5,8 +5,8 @@
 //! Mip-Splatting. `f_rest` is channel-major: 15 coefficients of red, then of green, then of blue.
 //!
 //! Reading follows the header, not this list: properties may come in any order, of any scalar type, with
-//! others between them, with fewer harmonics (degree 0 to 2), and as ASCII. What is written and read again
-//! has the same bits.
+//! others between them, with fewer or more harmonics, with colours in place of them (nerfstudio's `rgb`),
+//! big-endian, and as ASCII. What is written and read again has the same bits.
 
 mod error;
 mod fault;
@@ -34,7 +34,6 @@ pub(crate) use points::{parse_points, read_points};
 
 use crate::atomic::write_atomically;
 use crate::input;
-use crate::listing::position_problem;
 
 /// How a cloud is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,14 +88,6 @@ pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
     match faults(cloud).next() {
         None => Ok(()),
         Some(fault) => Err(PlyError::Gaussian { path: path.to_owned(), fault }),
-    }
-}
-
-fn check_positions(path: &Path, positions: impl Iterator<Item = [f32; 3]>) -> Result<(), PlyError> {
-    let problems = positions.map(|position| position_problem(position.map(f64::from)));
-    match problems.enumerate().find_map(|(row, problem)| Some((row, problem?))) {
-        None => Ok(()),
-        Some((row, problem)) => Err(PlyError::Position { path: path.to_owned(), row, problem }),
     }
 }
 

@@ -5,10 +5,11 @@ use std::ops::Range;
 use std::path::Path;
 
 use genesplat_core::Gaussians;
-use genesplat_core::spherical_harmonics::{coefficients, sh_index};
+use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients, dc_from_rgb, sh_index};
 
 use super::field::Field;
 use super::header::{Encoding, PlyHeader};
+use super::points::{COLOURS, full_colour};
 use super::{PlyError, read_error, text};
 
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
@@ -46,20 +47,32 @@ pub(super) fn read(
     let count = header.gaussians as usize;
     let zeros =
         || Gaussians { filter_3d: header.has_filter_3d.then(|| vec![0.0; count]), ..Gaussians::zeros(count) };
+    let mut cloud = zeros();
     match header.encoding {
         Encoding::Binary => {
             let layout = Layout::of(header, |name| header.field(name, path, SPLAT))?;
-            layout.read_binary(header.row_bytes, reader, zeros()).map_err(|source| read_error(path, source))
+            let read = layout.read_binary(header.row_bytes, reader, &mut cloud);
+            read.map_err(|source| read_error(path, source))?;
         }
         Encoding::Ascii => {
             let layout = Layout::of(header, |name| header.column(name, path, SPLAT))?;
-            let mut cloud = zeros();
             text::read(header, reader, path, |row, values| {
                 layout.set(row, |column| values[column], &mut cloud)
             })?;
-            Ok(cloud)
         }
     }
+    if let Some(names) = plain_colours(header) {
+        let full = full_colour(header.are_floats(names), cloud.sh.iter().map(|sh| [sh[0], sh[1], sh[2]]));
+        let base = cloud.sh.iter_mut().flat_map(|sh| &mut sh[..3]);
+        base.for_each(|value| *value = dc_from_rgb(*value / full));
+    }
+    Ok(cloud)
+}
+
+/// The names of colours that stand in place of the base of the harmonics, as nerfstudio exports `rgb`.
+fn plain_colours(header: &PlyHeader) -> Option<[&'static str; 3]> {
+    let has_base = header.has_all(["f_dc_0", "f_dc_1", "f_dc_2"]);
+    COLOURS.into_iter().find(|names| !has_base && header.has_all(*names))
 }
 
 /// Where each parameter lies in a row: a field of its bytes, or the number of its word.
@@ -77,7 +90,8 @@ struct Layout<Place> {
 
 impl<Place: Copy> Layout<Place> {
     fn of(header: &PlyHeader, find: impl Fn(&str) -> Result<Place, PlyError>) -> Result<Self, PlyError> {
-        let sh = sh_properties(header.sh_degree);
+        let base = plain_colours(header).unwrap_or(["f_dc_0", "f_dc_1", "f_dc_2"]);
+        let sh = sh_properties(header.sh_degree, base);
         Ok(Self {
             position: [find("x")?, find("y")?, find("z")?],
             opacity: find("opacity")?,
@@ -104,32 +118,28 @@ impl<Place: Copy> Layout<Place> {
 
 impl Layout<Field> {
     /// Fills every row of `cloud`.
-    fn read_binary(
-        &self,
-        row_bytes: usize,
-        reader: &mut impl Read,
-        mut cloud: Gaussians,
-    ) -> io::Result<Gaussians> {
+    fn read_binary(&self, row_bytes: usize, reader: &mut impl Read, cloud: &mut Gaussians) -> io::Result<()> {
         let count = cloud.len();
         let mut chunk = vec![0; CHUNK_ROWS.min(count) * row_bytes];
         for first in (0..count).step_by(CHUNK_ROWS) {
             let bytes = &mut chunk[..CHUNK_ROWS.min(count - first) * row_bytes];
             reader.read_exact(bytes)?;
             for (row, bytes) in (first..).zip(bytes.chunks_exact(row_bytes)) {
-                self.set(row, |field| field.value(bytes), &mut cloud);
+                self.set(row, |field| field.value(bytes), cloud);
             }
         }
-        Ok(cloud)
+        Ok(())
     }
 }
 
 /// Each harmonic's index in a row of [`Gaussians::sh`], with the property that holds it in a file of
-/// `degree`.
-fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
+/// `degree`, where the first ones are called `base`.
+fn sh_properties(degree: u8, base: [&str; 3]) -> impl Iterator<Item = (usize, String)> {
     let rest = coefficients(degree) - 1;
+    let read = coefficients(degree.min(SH_DEGREE_MAX)) - 1;
     (0..3).flat_map(move |channel| {
-        let dc = std::iter::once((sh_index(channel, 0), format!("f_dc_{channel}")));
-        dc.chain((0..rest).map(move |k| (sh_index(channel, 1 + k), format!("f_rest_{}", channel * rest + k))))
+        let dc = std::iter::once((sh_index(channel, 0), base[channel].to_owned()));
+        dc.chain((0..read).map(move |k| (sh_index(channel, 1 + k), format!("f_rest_{}", channel * rest + k))))
     })
 }
 

@@ -21,7 +21,13 @@ pub(super) fn file(path: &Path) -> Option<SceneError> {
         () if has_ending(path, &PHOTO_ENDINGS) || has_ending(path, &UNREAD) => {
             "is one photo; give the folder of a scene, with many photos and their cameras"
         }
-        () => "is a file; give the folder of a scene",
+        () => {
+            let poses = command_line(["genesplat", "poses", &shown(path)]);
+            let problem = format!(
+                "is a file; give the folder of a scene (of a video, `{poses} --out SCENE` makes one)"
+            );
+            return Some(SceneError::invalid(path, problem));
+        }
     };
     Some(SceneError::invalid(path, remedy))
 }
@@ -30,6 +36,20 @@ pub(super) fn file(path: &Path) -> Option<SceneError> {
 pub(super) fn run(path: &Path) -> Option<SceneError> {
     let is_run = ["config.toml", "point_cloud.ply"].iter().all(|name| path.join(name).is_file());
     is_run.then(|| SceneError::invalid(path, "is the folder of a run; give the folder of a scene"))
+}
+
+/// What to do with a COLMAP model of which a file is missing.
+pub(super) fn part_of_model(path: &Path) -> Option<SceneError> {
+    let folders = ["sparse/0", "sparse", "", "colmap/sparse/0", "colmap"].map(|folder| path.join(folder));
+    let there = folders.iter().flat_map(|folder| ["images.bin", "images.txt"].map(|name| folder.join(name)));
+    let images = there.into_iter().find(|file| file.is_file())?;
+    let folder = shown(images.parent().unwrap_or(path));
+    let name = shown(images.file_name().unwrap_or_default());
+    let problem = format!(
+        "is a part of a COLMAP model: {folder} has no {} beside {name}; copy all files of the model there",
+        name.replace("images", "cameras")
+    );
+    Some(SceneError::invalid(path, problem))
 }
 
 /// Files and folders with the cameras of programs whose forms are not read: whose they are, and what to do.

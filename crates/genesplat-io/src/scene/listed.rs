@@ -77,7 +77,9 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
         }
     };
     let photos = train.into_iter().map(photo(false)).chain(test.into_iter().map(photo(true))).collect();
-    Ok(SceneList { photos, points: listing.points, notices: listing.notices })
+    let problems = listing.doubts.into_iter().map(|doubt| doubt.problem);
+    let notices = listing.notices.into_iter().chain(problems).collect();
+    Ok(SceneList { photos, points: listing.points, notices })
 }
 
 /// COLMAP's model of `photos`, by the names of their views, with these points. Each photo has a camera of its

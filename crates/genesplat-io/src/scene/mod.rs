@@ -3,6 +3,7 @@
 mod bare;
 pub mod blocks;
 mod digests;
+mod doubt;
 mod listed;
 mod masks;
 mod place;
@@ -22,19 +23,22 @@ use genesplat_core::View;
 use rayon::prelude::*;
 
 pub use digests::{PhotoDigests, SceneDigests};
+pub use doubt::Doubt;
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
-pub use masks::{MaskUse, mask_of};
+pub use masks::{MaskUse, Masks, mask_beside};
 pub(crate) use random_points::Cube;
 pub use replaced::replace_photos;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
+use crate::colmap::{self, ModelFolder, PhotoFolder};
 use crate::digest::Digest;
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing};
+use crate::listing::{ListedPhoto, Listing, damaged_notice};
 use crate::photos::PhotoSize;
-use crate::{colmap, input, plural, shown, transforms};
-use view::{Loaded, PhotoStorage, Pinholes};
+use crate::transforms::{self, Wanted};
+use crate::{input, plural, shown};
+use view::{Loaded, Opened, PhotoStorage, Pinholes};
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,6 +69,8 @@ pub struct Scene {
     pub digests: SceneDigests,
     /// What the user should know: one sentence each.
     pub notices: Vec<String>,
+    /// Why to train on it makes no sense.
+    pub doubts: Vec<Doubt>,
 }
 
 /// How a scene is loaded.
@@ -186,8 +192,8 @@ pub fn load_scene(
         ));
     }
     let digests = SceneDigests::of(digests, listing.points_digest);
-    let (name, points) = (scene_name(path), listing.points);
-    Ok(Scene { name, train, test, points, seen, photos, digests, notices })
+    let (name, points, doubts) = (scene_name(path), listing.points, listing.doubts);
+    Ok(Scene { name, train, test, points, seen, photos, digests, notices, doubts })
 }
 
 /// The points that each of these photos sees, taken out of them.
@@ -210,10 +216,10 @@ fn load_views(
 ) -> Result<(OfParts<View>, OfParts<PhotoDigests>), SceneError> {
     let (pinholes, storage) =
         (Pinholes::default(), PhotoStorage::new(photos.iter().copied().flatten(), options)?);
-    let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
+    let load = |photos: &[ListedPhoto]| -> Result<Vec<Opened>, SceneError> {
         photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &storage, progress)).collect()
     };
-    let loaded = [load(photos[0])?, load(photos[1])?];
+    let (loaded, digests) = without_damaged([load(photos[0])?, load(photos[1])?], notices)?;
     let all = || loaded.iter().flatten();
     let count = |holds: fn(&Loaded) -> bool| all().filter(|loaded| holds(loaded)).count();
     let found = masks::Found {
@@ -231,8 +237,25 @@ fn load_views(
         let views = loaded.into_iter().map(|loaded| loaded.view);
         views.filter(|view| view.counted_pixels() > 0).collect()
     };
-    let digests = [0, 1].map(|part| loaded[part].iter().map(|loaded| loaded.digests.clone()).collect());
     Ok((loaded.map(seen), digests))
+}
+
+/// The photos that could be decoded, and the digests of all. An error where none is left to train on.
+fn without_damaged(
+    opened: OfParts<Opened>,
+    notices: &mut Vec<String>,
+) -> Result<(OfParts<Loaded>, OfParts<PhotoDigests>), SceneError> {
+    let all = opened.iter().map(Vec::len).sum();
+    let digests = opened.each_ref().map(|part| part.iter().map(|photo| photo.digests.clone()).collect());
+    let mut damaged = Vec::new();
+    let loaded = opened.map(|part| -> Vec<Loaded> {
+        part.into_iter().filter_map(|photo| photo.loaded.map_err(|error| damaged.push(error)).ok()).collect()
+    });
+    if loaded[0].is_empty() && !damaged.is_empty() {
+        return Err(damaged.swap_remove(0).into());
+    }
+    notices.extend(damaged_notice(&damaged, all));
+    Ok((loaded, digests))
 }
 
 /// The digests of [`load_scene`] alone: files are read, and not decoded.
@@ -264,30 +287,52 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     }
     match list_known(path, options) {
         Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
-            // What is not to be read looks as if it were not there.
-            check_readable([
-                path,
-                &path.join("sparse"),
-                &path.join("sparse/0"),
-                &path.join(&options.image_folder),
-            ])?;
-            let Some(scene) = place::of(path).filter(|scene| scene != path) else {
-                let known = [bare::run, bare::other_cameras, bare::without_cameras, bare::file];
-                let is_unknown = matches!(error, SceneError::Unrecognised(_));
-                let known = known.into_iter().filter(|_| is_unknown).find_map(|known| known(path));
-                return Err(known.unwrap_or(error));
-            };
-            // One of several reconstructions may have been given.
-            let listing = match colmap::model_in(path) {
-                Some(model) => colmap::list(&model, &scene.join(&options.image_folder), options)?,
-                None => list_known(&scene, options)?,
-            };
-            let mut listing = checked(listing, &scene, options)?;
-            listing.notices.insert(0, format!("the scene is {}, of which a part was given", shown(&scene)));
-            Ok(listing)
+            list_elsewhere(path, options, error)
         }
         known => checked(known?, path, options),
     }
+}
+
+/// What `path` is a part of, or holds somewhere; `error` where it is and holds nothing that is known.
+fn list_elsewhere(path: &Path, options: &LoadOptions, error: SceneError) -> Result<Listing, SceneError> {
+    // What is not to be read looks as if it were not there.
+    check_readable([path, &path.join("sparse"), &path.join("sparse/0"), &path.join(&options.image_folder)])?;
+    if let Some(scene) = place::of(path).filter(|scene| scene != path) {
+        return list_part(path, &scene, options);
+    }
+    if !matches!(error, SceneError::Unrecognised(_)) {
+        return Err(error);
+    }
+    if let Some(model) = place::model_below(path)? {
+        let mut listing = checked(of_model(&model, path, options)?, path, options)?;
+        listing
+            .notices
+            .insert(0, format!("the cameras are those of the COLMAP model in {}", shown(&model.path)));
+        return Ok(listing);
+    }
+    let known = [bare::run, bare::part_of_model, bare::other_cameras, bare::without_cameras, bare::file];
+    Err(known.into_iter().find_map(|known| known(path)).unwrap_or(error))
+}
+
+/// The scene that `path` is a part of; one of several reconstructions may have been given.
+fn list_part(path: &Path, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let mut listing = match colmap::model_in(path) {
+        Some(model) => of_model(&model, scene, options)?,
+        None => list_known(scene, options)?,
+    };
+    if colmap::model_in(path).is_some() {
+        // Whoever names a model means the photos that it has.
+        listing.doubts.clear();
+    }
+    let mut listing = checked(listing, scene, options)?;
+    listing.notices.insert(0, format!("the scene is {}, of which a part was given", shown(scene)));
+    Ok(listing)
+}
+
+fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let is_usual = options.image_folder == LoadOptions::default().image_folder;
+    let photos = PhotoFolder { path: scene.join(&options.image_folder), is_usual };
+    colmap::list(model, &photos, options)
 }
 
 /// Fails where one of these folders is there and must not be read.
@@ -303,7 +348,7 @@ fn check_readable(folders: [&Path; 4]) -> Result<(), SceneError> {
 /// `listing` with the names of its views, and points to start from. Too few points are an error here already:
 /// training would find it out only after the photos are decoded.
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    masks::find(&mut listing, scene);
+    masks::find(&mut listing, scene, options.mask);
     listing.notices.extend(precision::check(&listing)?);
     listing.set_near(options.near);
     listing.check_not_shared()?;
@@ -325,18 +370,18 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
 }
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let with_points = options.with_points;
-    let of_model = |model| colmap::list(&model, &path.join(&options.image_folder), options);
+    let wanted = Wanted { points: options.with_points, masks: options.mask != MaskUse::Off };
     if let Some(model) = colmap::find_model(path) {
-        return of_model(model);
+        return of_model(&model, path, options);
     }
     if path.join("transforms_train.json").is_file() {
-        return transforms::list_blender(path, with_points);
+        return transforms::list_blender(path, wanted);
     }
     if path.join("transforms.json").is_file() {
-        return transforms::list_nerfstudio(path, with_points);
+        return transforms::list_nerfstudio(path, wanted);
     }
-    colmap::find_nested_model(path).map_or_else(|| Err(SceneError::Unrecognised(path.to_owned())), of_model)
+    let nested = colmap::find_nested_model(path).ok_or_else(|| SceneError::Unrecognised(path.to_owned()))?;
+    of_model(&nested, path, options)
 }
 
 fn scene_name(path: &Path) -> String {

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::colmap;
+use crate::colmap::{self, ModelFolder};
+use crate::error::SceneError;
+use crate::shown;
 use crate::similar::{entries, is_transforms};
 use crate::visited::Visited;
 
@@ -31,17 +33,43 @@ fn above(path: &Path) -> Option<PathBuf> {
 /// An archive may hold a folder that holds the scene, or some, one in the other; COLMAP's workspace has one
 /// in `dense/0`.
 fn below(path: &Path) -> Option<PathBuf> {
+    let scenes = first_level(path, |folder| is_scene(folder).then(|| folder.to_owned()));
+    <[PathBuf; 1]>::try_from(scenes).ok().map(|[scene]| scene)
+}
+
+/// The COLMAP model in a folder below `path` that is no scene, or in numbered folders of `path` itself. Fails
+/// where several could be meant.
+pub(super) fn model_below(path: &Path) -> Result<Option<ModelFolder>, SceneError> {
+    if let Some(model) = colmap::find_any_model(path) {
+        return Ok(Some(model));
+    }
+    let mut models = first_level(path, colmap::find_any_model);
+    models.sort_by(|a, b| a.path.cmp(&b.path));
+    if let [first, second, ..] = &models[..] {
+        let problem = format!(
+            "has several COLMAP models, in {} and in {}; give the folder of the one that is meant, and that of its photos \
+             (--images)",
+            shown(&first.path),
+            shown(&second.path)
+        );
+        return Err(SceneError::invalid(path, problem));
+    }
+    Ok(models.pop())
+}
+
+/// What is found in the folders of the first level below `path` that has any.
+fn first_level<T>(path: &Path, find: impl Fn(&Path) -> Option<T>) -> Vec<T> {
     let (mut level, mut visited) = (vec![path.to_owned()], Visited::default());
     visited.is_new(path);
     for _ in 0..LEVELS {
         let inner = level.iter().flat_map(|folder| entries(folder)).filter(|inner| inner.is_dir());
         level = inner.filter(|inner| visited.is_new(inner)).take(FOLDERS).collect();
-        let mut scenes = level.iter().filter(|folder| is_scene(folder));
-        if let Some(scene) = scenes.next() {
-            return scenes.next().is_none().then(|| scene.clone());
+        let found: Vec<T> = level.iter().filter_map(|folder| find(folder)).collect();
+        if !found.is_empty() {
+            return found;
         }
     }
-    None
+    Vec::new()
 }
 
 fn is_scene(folder: &Path) -> bool {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::View;
 use serde::{Deserialize, Serialize};
 
+use crate::alike::{composed, difference};
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Purpose};
 use crate::shown;
@@ -87,18 +88,24 @@ pub(super) fn view_name<'a>(
     mut photos: impl Iterator<Item = (&'a str, &'a Path)> + Clone,
     scene: &Path,
 ) -> Result<&'a str, SceneError> {
+    let wanted = &*composed(asked);
     let is_called = |(name, path): &(&str, &Path)| {
-        *name == asked
-            || without_ending(name) == asked
-            || path.ends_with(asked)
-            || path.with_extension("").ends_with(asked)
+        let (name, path) = (composed(name), path.to_string_lossy());
+        let path = composed(&path);
+        let path = Path::new(&*path);
+        *name == *wanted
+            || without_ending(&name) == wanted
+            || path.ends_with(wanted)
+            || path.with_extension("").ends_with(wanted)
     };
     let mut found = photos.clone().filter(is_called);
     let problem = match (found.next(), found.count()) {
         (Some((name, _)), 0) => return Ok(name),
         (None, _) => {
-            let example = photos.next().map_or(String::new(), |(name, path)| shown(usual_name(name, path)));
-            format!("has no photo called {}; its photos have names like {example}", shown(asked))
+            let example = photos.next().map(|(name, path)| usual_name(name, path)).unwrap_or_default();
+            let differs = difference(asked, &example.file_name().unwrap_or_default().to_string_lossy());
+            let (asked, example) = (shown(asked), shown(&example));
+            format!("has no photo called {asked}; its photos have names like {example}{differs}")
         }
         (_, more) => {
             format!(
@@ -115,7 +122,7 @@ pub(super) fn view_name<'a>(
 fn usual_name(view: &str, path: &Path) -> PathBuf {
     let file = path.file_name().unwrap_or_default();
     match path.parent().and_then(Path::file_name) {
-        Some(folder) if *view != *file => Path::new(folder).join(file),
+        Some(folder) if composed(view) != composed(&file.to_string_lossy()) => Path::new(folder).join(file),
         _ => file.into(),
     }
 }

@@ -7,22 +7,28 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use genesplat_core::{Camera, Mask, Photo, StoredPhoto, View};
 use glam::{DQuat, DVec3};
 
-use super::{LoadOptions, LoadProgress, MaskUse, PhotoDigests, Spill};
+use super::{LoadOptions, LoadProgress, MaskUse, PhotoDigests, Spill, digests_of};
 use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
-use crate::photos::{self, EncodedPhoto, Lens, PhotoFile, PhotoMask};
+use crate::photos::{self, EncodedPhoto, Lens, PhotoError, PhotoFile, PhotoMask};
 use crate::shown;
 
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
+
+/// A photo that could be read.
+pub(super) struct Opened {
+    pub(super) digests: PhotoDigests,
+    /// Or why its pixels cannot be had: the file is damaged, or no photo.
+    pub(super) loaded: Result<Loaded, PhotoError>,
+}
 
 /// A view, and what its photo hides.
 pub(super) struct Loaded {
     pub(super) view: View,
     pub(super) is_masked: bool,
     pub(super) is_transparent: bool,
-    pub(super) digests: PhotoDigests,
 }
 
 /// Pinholes that were found, by the camera without its pose, and its lens: photos of one camera share theirs.
@@ -94,7 +100,23 @@ pub(super) fn load(
     pinholes: &Pinholes,
     storage: &PhotoStorage,
     progress: &dyn LoadProgress,
-) -> Result<Loaded, SceneError> {
+) -> Result<Opened, SceneError> {
+    let opened = match load_sound(listed, options, pinholes, storage) {
+        Err(SceneError::Photo(error @ PhotoError::Decode { .. })) if error.path() == listed.path => {
+            Opened { digests: digests_of(listed)?, loaded: Err(error) }
+        }
+        sound => sound?,
+    };
+    progress.photo_done();
+    Ok(opened)
+}
+
+fn load_sound(
+    listed: &ListedPhoto,
+    options: &LoadOptions,
+    pinholes: &Pinholes,
+    storage: &PhotoStorage,
+) -> Result<Opened, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?;
     let digest = photo.digest();
     let photo = photo.turned_like(listed.camera.width, listed.camera.height);
@@ -113,7 +135,6 @@ pub(super) fn load(
     }
     let mask = hidden(mask, opaque, options.mask).map(|mask| frame.of_mask(&mask));
     let photo = frame.of_photo(&photo);
-    progress.photo_done();
     let view = View {
         name: listed.name.clone(),
         camera: frame.pinhole.resized(frame.size[0], frame.size[1]),
@@ -121,7 +142,7 @@ pub(super) fn load(
         // One that hides nothing is none.
         mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
     };
-    Ok(Loaded { view, is_masked, is_transparent, digests })
+    Ok(Opened { digests, loaded: Ok(Loaded { view, is_masked, is_transparent }) })
 }
 
 /// What a photo is taken to: straight lines, and the size that is asked for.
@@ -175,7 +196,7 @@ impl<'a> Frame<'a> {
 /// What counts for nothing, if anything does.
 fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse) -> Option<PhotoMask> {
     match mask_use {
-        MaskUse::Usual => mask,
+        MaskUse::Usual | MaskUse::Off => mask,
         MaskUse::Transparent => None,
         MaskUse::Ignore => match (mask, opaque) {
             (Some(mask), Some(opaque)) => Some(mask.and(&opaque)),

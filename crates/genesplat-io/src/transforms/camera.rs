@@ -12,14 +12,41 @@ use crate::error::SceneError;
 use crate::listing::{bad_pose, coefficients_problem, intrinsics_problem, position_problem};
 use crate::photos::{self, Lens, Polynomial, Projection};
 
-/// The camera of `entry`, and its lens; `photo` is asked for its size where the file does not say it.
+/// Most that the columns of a pose may differ from a rotation's: writers print few digits.
+const DEVIATION_MAX: f64 = 0.01;
+
+/// Whether a pose has numbers alone: programs write NaN where they have found nothing.
+pub(super) fn is_finite(entry: &PhotoEntry) -> bool {
+    entry.transform_matrix.iter().flatten().all(|value| value.is_finite())
+}
+
+/// By how much all poses are scaled, beside their rotation; 1 where they are not, or each by its own.
+pub(super) fn common_scale<'a>(entries: impl Iterator<Item = &'a PhotoEntry>) -> f64 {
+    let scale = |entry: &PhotoEntry| Some(columns(entry)?.determinant().cbrt());
+    let mut scales = entries.filter(|entry| is_finite(entry)).filter_map(scale);
+    let Some(first) = scales.next().filter(|first| *first > 0.0 && first.is_finite()) else { return 1.0 };
+    let is_like = |scale: f64| ((scale / first).powi(2) - 1.0).abs() <= DEVIATION_MAX;
+    let is_none = (first.powi(2) - 1.0).abs() <= DEVIATION_MAX;
+    if !is_none && scales.all(is_like) { first } else { 1.0 }
+}
+
+/// The upper left of a pose: the axes of the camera in the world.
+fn columns(entry: &PhotoEntry) -> Option<DMat3> {
+    let [x, y, z, ..] = entry.transform_matrix.as_slice() else { return None };
+    let row = |row: &[f64; 4]| DVec3::new(row[0], row[1], row[2]);
+    Some(DMat3::from_cols(row(x), row(y), row(z)).transpose())
+}
+
+/// The camera of `entry`, and its lens; `photo` is asked for its size where the file does not say it. The
+/// pose is divided by [`common_scale`].
 pub(super) fn camera(
     list: &Path,
     entry: &PhotoEntry,
     intrinsics: &OptionalIntrinsics,
     photo: &Path,
+    scale: f64,
 ) -> Result<(Camera, Option<Lens>), SceneError> {
-    let (rotation, translation) = pose(list, entry)?;
+    let (rotation, translation) = pose(list, entry, scale)?;
     let lens = lens(list, intrinsics)?;
     let bad = |problem: &str| SceneError::BadCamera {
         file: list.to_owned(),
@@ -32,8 +59,11 @@ pub(super) fn camera(
     };
     let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
     let fx = intrinsics.fl_x.or(from_angle(intrinsics.camera_angle_x, width));
-    let fx = fx.ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
-    let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height)).unwrap_or(fx);
+    let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height));
+    // Pixels are square where one of them is all that is said.
+    let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
+        return Err(bad("has none of fl_x, fl_y, camera_angle_x and camera_angle_y"));
+    };
     let principal_px = [intrinsics.cx.unwrap_or(0.5 * width), intrinsics.cy.unwrap_or(0.5 * height)];
     let coefficients =
         [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4, intrinsics.p1, intrinsics.p2];
@@ -93,23 +123,20 @@ fn lens(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<Option<Lens>, Sc
     Ok((!lens.is_pinhole()).then_some(lens))
 }
 
-fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
+fn pose(list: &Path, entry: &PhotoEntry, scale: f64) -> Result<(DQuat, DVec3), SceneError> {
     let bad = |problem| bad_pose(list, &entry.file_path, problem);
-    let [x, y, z, ..] = entry.transform_matrix.as_slice() else {
-        return Err(bad("has fewer than three rows"));
-    };
-    let row = |row: &[f64; 4]| DVec3::new(row[0], row[1], row[2]);
-    let world_from_gl = DMat3::from_cols(row(x), row(y), row(z)).transpose();
-    let centre = DVec3::new(x[3], y[3], z[3]);
+    let world_from_gl = columns(entry).ok_or_else(|| bad("has fewer than three rows"))? * scale.recip();
+    let centre = DVec3::from_array([0, 1, 2].map(|row| entry.transform_matrix[row][3]));
     if !world_from_gl.is_finite() {
         return Err(bad("is not finite"));
     }
     if let Some(problem) = position_problem(centre.into()) {
         return Err(bad(problem));
     }
-    // Writers print few digits, so a per cent is allowed; a mirror image or a scale is not.
+    // A mirror image is no rotation, nor is a scale of one pose alone.
     let deviation = world_from_gl * world_from_gl.transpose() - DMat3::IDENTITY;
-    if deviation.to_cols_array().iter().any(|v| v.abs() > 0.01) || world_from_gl.determinant() < 0.0 {
+    if deviation.to_cols_array().iter().any(|v| v.abs() > DEVIATION_MAX) || world_from_gl.determinant() < 0.0
+    {
         return Err(bad("is not a rotation"));
     }
     // OpenGL's camera looks along −z with y up; ours along z with y down.

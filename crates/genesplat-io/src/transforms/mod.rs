@@ -5,24 +5,25 @@
 
 mod camera;
 mod nested;
+mod number;
+mod reading;
 mod schema;
 mod splits;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use genesplat_core::Camera;
 
 pub(crate) use self::camera::KNOWN_MODELS;
+use self::reading::Reading;
 use self::splits::Splits;
+use crate::colmap::Finite;
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, path_inside,
-    separate, similar_notice,
+    ListedPhoto, Listing, Purpose, all_missing, base_name, inside, no_photos, path_inside, separate,
 };
 use crate::scene::{Cube, Point};
-use crate::similar::Similar;
-use crate::{ply, shown};
+use crate::{ply, shown, similar};
 
 /// Point clouds that may lie beside the list: nerfstudio's, those of converters, the reference trainer's.
 const BESIDE: [&str; 4] = ["sparse_pc.ply", "pointcloud.ply", "points3D.ply", "points3d.ply"];
@@ -30,20 +31,27 @@ const BESIDE: [&str; 4] = ["sparse_pc.ply", "pointcloud.ply", "points3D.ply", "p
 /// What the file name of a photo may end in beyond what a frame says.
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 
+/// What is asked for beside photos.
+#[derive(Clone, Copy)]
+pub(crate) struct Wanted {
+    pub(crate) points: bool,
+    pub(crate) masks: bool,
+}
+
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
-pub(crate) fn list_blender(folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
+pub(crate) fn list_blender(folder: &Path, wanted: Wanted) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
-    let mut found = read_photos(&list, Some(Purpose::Unsaid))?;
+    let mut found = read_photos(&list, Some(Purpose::Unsaid), wanted)?;
     if test.is_file() {
-        found.add(read_photos(&test, Some(Purpose::Test))?);
+        found.add(read_photos(&test, Some(Purpose::Test), wanted)?);
     }
-    Ok(Listing { cube: Some(Cube::BLENDER), ..found.into_listing(with_points)? })
+    Ok(Listing { cube: Some(Cube::BLENDER), ..found.into_listing(wanted.points)? })
 }
 
 /// The scene of `folder/transforms.json`.
-pub(crate) fn list_nerfstudio(folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
-    read_photos(&folder.join("transforms.json"), None)?.into_listing(with_points)
+pub(crate) fn list_nerfstudio(folder: &Path, wanted: Wanted) -> Result<Listing, SceneError> {
+    read_photos(&folder.join("transforms.json"), None, wanted)?.into_listing(wanted.points)
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -84,27 +92,31 @@ impl Found {
             points_file,
             cube: None,
             notices: self.notices,
+            doubts: Vec::new(),
         })
     }
 
     /// The points that the file names, or those of a file that lies where others put it.
     fn points_of(&mut self, with_points: bool) -> Result<OfPoints, SceneError> {
-        let folder = self.list.parent().unwrap_or(Path::new(""));
+        let folder = self.list.parent().unwrap_or(Path::new("")).to_owned();
         let mut points_file = match &self.points {
-            Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(&self.list, name))?),
+            Some(name) => {
+                let inside = path_inside(name).ok_or_else(|| points_outside(&self.list, name))?;
+                similar::file(&folder.join(inside))
+            }
             None => self.list.clone(),
         };
         let mut points = Vec::new();
         // A file that nobody reads yet is taken for one with points.
         let mut has_points = self.points.is_some() && points_file.exists();
         if with_points && has_points {
-            points = ply::read_points(&points_file)?;
+            points = self.read_points(&points_file)?;
             has_points = !points.is_empty();
         } else if with_points && self.points.is_some() {
             self.notices.push(format!("the point cloud {} does not exist", shown(&points_file)));
         }
         if !has_points {
-            let nested = nested::points(folder, &self.photos).unwrap_or_default();
+            let nested = nested::points(&folder, &self.photos).unwrap_or_default();
             has_points = !nested.is_empty();
             points = if with_points { nested } else { Vec::new() };
         }
@@ -112,7 +124,7 @@ impl Found {
         if let Some(file) = beside.filter(|_| !has_points) {
             has_points = true;
             if with_points {
-                points = ply::read_points(&file)?;
+                points = self.read_points(&file)?;
                 has_points = !points.is_empty();
                 self.notices.push(format!(
                     "training starts from the points of {}, which the scene does not name",
@@ -122,6 +134,12 @@ impl Found {
             }
         }
         Ok(OfPoints { points, has_points, points_file })
+    }
+
+    fn read_points(&mut self, file: &Path) -> Result<Vec<Point>, SceneError> {
+        let Finite { records, notice } = ply::read_points(file)?;
+        self.notices.extend(notice);
+        Ok(records)
     }
 }
 
@@ -134,20 +152,6 @@ struct OfPoints {
     points_file: PathBuf,
 }
 
-/// A photo may be missing, or be in no list, by mistake.
-fn notices(photos: &[ListedPhoto], missing: &[PathBuf], similar: Similar, list: &Path) -> Vec<String> {
-    let all = photos.len() + missing.len();
-    let unused = photos.iter().filter(|photo| photo.purpose == Purpose::Unused).count();
-    let unused = (unused > 0).then(|| {
-        format!(
-            "{unused} of the {all} photos that {} lists are neither trained nor tested on, as its train_filenames, \
-             val_filenames and test_filenames have it",
-            shown(list)
-        )
-    });
-    [similar_notice(similar, list), absent_notice(missing, all, list), unused].into_iter().flatten().collect()
-}
-
 fn points_outside(list: &Path, name: &str) -> SceneError {
     let problem =
         "which is not a path inside the scene's folder; correct it, or remove it to start from random points";
@@ -155,84 +159,45 @@ fn points_outside(list: &Path, name: &str) -> SceneError {
 }
 
 /// What the file `list` lists. Each photo has this `purpose`; without one, what the file's own lists say.
-fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneError> {
+fn read_photos(list: &Path, purpose: Option<Purpose>, wanted: Wanted) -> Result<Found, SceneError> {
     let mut file = schema::read(list)?;
     if file.frames.is_empty() {
         return Err(no_photos(list));
     }
     let folder = list.parent().unwrap_or(Path::new(""));
-    file.names_mut().for_each(|name| settle(name, folder));
+    file.names_mut().for_each(|(usual, name)| settle(name, folder, usual));
     let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
-    let shared: Arc<Path> = list.into();
-    let (mut photos, mut missing, mut similar) = (Vec::new(), Vec::new(), Similar::default());
+    let scale = camera::common_scale(file.frames.iter());
+    let mut reading = Reading::of(list, folder, wanted, scale);
     for entry in &file.frames {
-        let relative = inside(&entry.file_path, list)?;
-        let Some((name, path)) = find_photo(folder, &relative, &entry.file_path, &mut similar) else {
-            missing.push(folder.join(relative));
-            continue;
-        };
-        let intrinsics = entry.intrinsics.or(&file.intrinsics);
-        let (camera, lens) = camera::camera(list, entry, &intrinsics, &path)?;
         let listed = splits.as_ref().map(|splits| splits.purpose(&entry.file_path, list)).transpose()?;
         let purpose = purpose.or(listed).unwrap_or_default();
-        let mask = entry.mask_path.as_deref().map(|name| find_mask(folder, name, list)).transpose()?;
-        photos.push(ListedPhoto {
-            name,
-            path,
-            list: shared.clone(),
-            camera,
-            lens,
-            purpose,
-            mask,
-            seen: Vec::new(),
-        });
+        reading.add(entry, &entry.intrinsics.or(&file.intrinsics), purpose)?;
     }
-    let notices = notices(&photos, &missing, similar, list);
-    Ok(Found { list: list.to_owned(), photos, missing, points: file.ply_file_path.clone(), notices })
+    reading.finish(file.ply_file_path.clone())
 }
 
 /// The cameras that the `text` of `list` describes, all of whose rules they have met; photos are looked at
 /// only where it does not say their size.
 pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, SceneError> {
     let file = schema::parse(list, text)?;
-    let splits = Splits::of(&file, list)?;
+    let (splits, scale) = (Splits::of(&file, list)?, camera::common_scale(file.frames.iter()));
     let entries = file.frames.iter().map(|entry| {
         let photo = inside(&entry.file_path, list)?;
         splits.purpose(&entry.file_path, list)?;
-        Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), &photo)?.0)
+        Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), &photo, scale)?.0)
     });
     entries.collect()
 }
 
-/// The name of a photo that has come from another machine, as it is here: an absolute path, or one out of the
-/// folder, becomes that of the photo of this name in `images`, if it is there.
-fn settle(name: &mut String, folder: &Path) {
+/// The name of a file that has come from another machine, as it is here: an absolute path, or one out of the
+/// folder, becomes that of the file of this name in `usual`, if it is there.
+fn settle(name: &mut String, folder: &Path, usual: &str) {
     separate(name, folder);
     let is_of_windows = name.as_bytes().get(1) == Some(&b':');
-    let here = format!("images/{}", base_name(name));
-    if (is_of_windows || path_inside(name).is_none()) && folder.join(&here).is_file() {
-        *name = here;
+    let here = format!("{usual}/{}", base_name(name));
+    let here = here.trim_start_matches('/');
+    if (is_of_windows || path_inside(name).is_none()) && folder.join(here).is_file() {
+        *name = here.to_owned();
     }
-}
-
-/// The mask that a photo's entry names.
-fn find_mask(folder: &Path, name: &str, list: &Path) -> Result<PathBuf, SceneError> {
-    let path = path_inside(name).map(|relative| folder.join(relative)).filter(|path| path.is_file());
-    path.ok_or_else(|| {
-        let problem = "which is no file in the scene's folder; put it there, or remove the mask_path";
-        SceneError::invalid(list, format!("names the mask {name:?}, {problem}"))
-    })
-}
-
-/// The photo as it is named, or with the extension that Blender's script leaves out; or almost so.
-fn find_photo(
-    folder: &Path,
-    relative: &Path,
-    name: &str,
-    similar: &mut Similar,
-) -> Option<(String, PathBuf)> {
-    let whole = folder.join(relative);
-    let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&whole, end)));
-    let exact = candidates.into_iter().find(|(_, path)| path.is_file());
-    exact.or_else(|| similar.find(&whole).map(|path| (name.to_owned(), path)))
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use super::number;
 use crate::error::SceneError;
 use crate::input;
 
@@ -24,11 +25,16 @@ pub(super) struct Transforms {
 }
 
 impl Transforms {
-    /// Wherever it names a photo.
-    pub(super) fn names_mut(&mut self) -> impl Iterator<Item = &mut String> {
+    /// Wherever it names a file, with the folder where such files usually are.
+    pub(super) fn names_mut<'a>(&'a mut self) -> impl Iterator<Item = (&'static str, &'a mut String)> {
         let lists = [&mut self.train_filenames, &mut self.val_filenames, &mut self.test_filenames];
-        let listed = lists.into_iter().flatten().flatten();
-        self.frames.iter_mut().map(|entry| &mut entry.file_path).chain(listed)
+        let listed = lists.into_iter().flatten().flatten().map(|name| ("images", name));
+        let of_entry = |entry: &'a mut PhotoEntry| {
+            let mask = entry.mask_path.as_mut().map(|name| ("masks", name));
+            [("images", &mut entry.file_path)].into_iter().chain(mask)
+        };
+        let points = self.ply_file_path.as_mut().map(|name| ("", name));
+        self.frames.iter_mut().flat_map(of_entry).chain(listed).chain(points)
     }
 }
 
@@ -37,6 +43,7 @@ pub(super) struct PhotoEntry {
     /// Relative to the file; Blender leaves the extension out.
     pub(super) file_path: String,
     /// `world_from_camera`, row by row; camera axes x right, y up, z backwards (OpenGL).
+    #[serde(deserialize_with = "number::rows")]
     pub(super) transform_matrix: Vec<[f64; 4]>,
     /// Its mask, relative to the file.
     pub(super) mask_path: Option<String>,
@@ -48,25 +55,39 @@ pub(super) struct PhotoEntry {
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct OptionalIntrinsics {
     /// Horizontal field of view, radians.
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) camera_angle_x: Option<f64>,
     /// Vertical field of view, radians; without it and `fl_y`, pixels are square.
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) camera_angle_y: Option<f64>,
     /// Focal lengths, px.
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) fl_x: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) fl_y: Option<f64>,
     /// Principal point, px from the top-left corner.
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) cx: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) cy: Option<f64>,
     /// Size, px; some writers use a decimal point.
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) w: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) h: Option<f64>,
     /// Radial coefficients, as nerfstudio has them ([`crate::photos::Lens`]).
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) k1: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) k2: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) k3: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) k4: Option<f64>,
     /// OpenCV's tangential coefficients.
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) p1: Option<f64>,
+    #[serde(default, deserialize_with = "number::optional")]
     pub(super) p2: Option<f64>,
     /// COLMAP's name of the model.
     pub(super) camera_model: Option<String>,
@@ -107,6 +128,6 @@ pub(super) fn read(file: &Path) -> Result<Transforms, SceneError> {
 }
 
 pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Transforms, SceneError> {
-    serde_json::from_slice(input::without_mark(text))
+    serde_json::from_slice(&number::in_quotes(&input::as_utf8(text)))
         .map_err(|source| SceneError::Json { file: file.to_owned(), source })
 }

@@ -86,7 +86,7 @@ fn written(cloud: &Gaussians) -> impl Iterator<Item = (Format, Result<Vec<u8>, S
             // As far as it holds.
             cloud.positions.as_flattened_mut().iter_mut().for_each(|value| *value = value.clamp(-8e6, 8e6));
         }
-        let bytes = format::to_bytes(Path::new("cloud"), format, &cloud, &options);
+        let bytes = format::to_bytes(Path::new("cloud"), format, &cloud, &options, &());
         (format, bytes.map_err(|error| error.to_string()))
     })
 }
@@ -145,7 +145,8 @@ fn a_sentence_says_what_is_beyond_what_can_be_used() {
     ] {
         let mut cloud = varied(19, 3, 1);
         parameter.set(&mut cloud, 1, value);
-        let bytes = format::to_bytes(Path::new("cloud"), Format::Ply, &cloud, &Options::default()).unwrap();
+        let bytes =
+            format::to_bytes(Path::new("cloud"), Format::Ply, &cloud, &Options::default(), &()).unwrap();
         let sentence = read(folder.path(), Format::Ply, &bytes).unwrap_err();
         assert!(sentence.contains(words) && sentence.contains("genesplat convert"), "{sentence}");
     }

@@ -107,14 +107,14 @@ pub(crate) fn steps(format: Format) -> Steps {
             harmonic: 0.0,
             ..exact
         },
-        // 12 binary places; harmonics are rounded to 1/128 and then to 16 of these.
+        // 12 binary places; harmonics are rounded to 1/128.
         Format::Spz => Steps {
             position: 0.5 / 4096.0 + ROUNDING,
             log_scale: 0.5 / 16.0 + ROUNDING,
             angle: angle_of(three / 2.0 / 511.0 / 2.0) + exact.angle,
             opacity: byte_step(1.0) + ROUNDING,
             base_colour: byte_step(1.0) / 0.15 + ROUNDING,
-            harmonic: 8.5 / 128.0 + ROUNDING,
+            harmonic: 0.5 / 128.0 + ROUNDING,
         },
         // A step of the logarithmic scale is widest far away. Values of a codebook lie about evenly here, at
         // most three times as far from each other as on average.

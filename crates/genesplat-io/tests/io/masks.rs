@@ -60,6 +60,52 @@ fn masks_of_other_programs_are_found() {
     assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 1200]);
 }
 
+/// As RealityScan writes them; they are no photos without cameras.
+#[test]
+fn masks_among_the_photos_are_found() {
+    for name in ["000.png.mask.png", "000.mask.png", "000_mask.png"] {
+        let place = tempfile::tempdir().unwrap();
+        write_scene(place.path(), Form::Binary, &tiny_model(2));
+        photos::write_png(&place.path().join("images/a b").join(name), &mask()).unwrap();
+        let scene = load(place.path(), MaskUse::Usual).unwrap();
+        assert_eq!(views(&scene).map(View::counted_pixels).collect::<Vec<_>>(), [840, 1200], "{name}");
+        assert_eq!(scene.notices.len(), 1, "{:?}", scene.notices);
+        let without = load(place.path(), MaskUse::Off).unwrap();
+        assert!(views(&without).all(|view| view.mask.is_none()) && without.notices.is_empty());
+    }
+}
+
+/// RealityScan's, Metashape's, and those of people; photos are found in as many ways.
+#[test]
+fn masks_are_found_whatever_their_case_and_ending() {
+    for (folder, name) in [
+        ("masks", "000.png.mask.png"),
+        ("masks", "a b/000_mask.png"),
+        ("masks", "000_mask.PNG"),
+        ("masks", "000.PNG"),
+        ("masks", "000.PNG.Mask.Png"),
+        ("Masks", "000.png.png"),
+        ("mask", "000-mask.png"),
+        ("masks", "000.jpg.png"),
+    ] {
+        let place = tempfile::tempdir().unwrap();
+        write_scene(place.path(), Form::Binary, &tiny_model(2));
+        let file = place.path().join(folder).join(name);
+        fs::create_dir_all(file.parent().unwrap()).unwrap();
+        photos::write_png(&place.path().join("mask_0.png"), &mask()).unwrap();
+        fs::rename(place.path().join("mask_0.png"), &file).unwrap();
+        let scene = load(place.path(), MaskUse::Usual).unwrap();
+        let counted: Vec<_> = views(&scene).map(View::counted_pixels).collect();
+        assert_eq!((counted, scene.doubts.len()), (vec![840, 1200], 0), "{folder}/{name}");
+        let without = load(place.path(), MaskUse::Off).unwrap();
+        assert!(views(&without).all(|view| view.mask.is_none()) && without.notices.is_empty());
+        // Two that could be meant are none, and none that fits is doubted.
+        fs::copy(&file, file.with_file_name("000 mask.jpg")).unwrap();
+        fs::rename(&file, file.with_file_name("000-MASK.jpeg")).unwrap();
+        assert_eq!(load(place.path(), MaskUse::Usual).unwrap().doubts.len(), 1);
+    }
+}
+
 /// Black is not quite black in a JPEG.
 #[test]
 fn a_mask_that_is_a_jpeg_hides_what_is_dark() {
@@ -109,9 +155,14 @@ fn masks_that_cannot_be_meant_are_told() {
     let masks = folder.path().join("masks");
     photos::write_png(&masks.join("IMG_1.png"), &mask()).unwrap();
     let scene = load(folder.path(), MaskUse::Usual).unwrap();
-    assert!(
-        scene.notices[0].contains("has no mask of any photo: that of 000.png would be called 000.png.png")
-    );
+    let doubt = scene.doubts[0].to_string();
+    for words in [
+        "has no mask of any photo: that of 000.png would be called 000.png.png, and it has names like IMG_1.png",
+        "go on without masks by --mask off",
+    ] {
+        assert!(doubt.contains(words), "{doubt}");
+    }
+    assert!(load(folder.path(), MaskUse::Off).unwrap().doubts.is_empty());
     for (size, advice) in [([20, 20], "make it as large as its photo"), ([30, 40], "turn it as its photo")] {
         photos::write_png(&masks.join("001.png"), &tiny_photo(0, size)).unwrap();
         let sentence = load(folder.path(), MaskUse::Usual).unwrap_err().to_string();

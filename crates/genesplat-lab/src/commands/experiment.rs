@@ -49,8 +49,8 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     };
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag();
-    let lpips = lpips::open(&args.lpips.asked())?;
-    let device = Some(args.machine.device.unwrap_or_default().resolve()?);
+    let lpips = lpips::open_or_notify(&args.lpips.asked())?;
+    let device = Some(args.machine.device().unwrap_or_default().resolve()?);
     let runner = Runner {
         experiment: &experiment,
         out: &args.out,

@@ -7,9 +7,10 @@ use genesplat::run::LOG;
 use genesplat::run::numbers::{duration, number, thousands};
 use genesplat::run::report::chart::Chart;
 use genesplat::run::report::curves::{Curves, over_time};
-use genesplat::run::report::html::{Html, document};
+use genesplat::run::report::html::{document, table};
 use genesplat::run::report::picture;
-use genesplat::run::report::run::write_repeat;
+use genesplat::run::report::run::repeat;
+use maud::{Markup, html};
 
 use super::file::ExperimentFile;
 use super::plan::{CELLS, Cell, Experiment};
@@ -49,66 +50,64 @@ pub(crate) fn to_html(
     command: &str,
 ) -> String {
     let (experiment, file) = (results.experiment, &results.experiment.file);
-    let cells = experiment.cells();
-    let mut page = Html::new();
-    page.element("h1", &file.title).element("p", &file.description);
-    page.element("p class=\"dim\"", &format!("{} of {} runs are finished.", results.finished(), cells.len()));
-    tables.figures.iter().chain(&tables.costs).for_each(|table| table.write_html(&mut page));
-    write_pictures(&mut page, pages);
-    page.element("h2", "Over time").element("p class=\"dim\"", "The first seed of each arm.");
-    page.open("div class=\"row\"");
-    charts(results, out).iter().for_each(|chart| chart.write(&mut page));
-    page.close("div");
-    // A row for every comparison and metric: to be looked up, not to be scrolled past.
-    page.element("h2", "Tests").open("details");
-    page.element("summary", "Every comparison, and whether it may be chance");
-    tables.tests.iter().for_each(|table| table.write_html(&mut page));
-    page.close("details");
-    write_runs(&mut page, results);
-    write_repeat(&mut page, command);
-    page.open("details").element("summary", "Experiment").element("pre", &to_toml(file)).close("details");
-    document(&file.title, page)
+    let page = html! {
+        h1 { (file.title) }
+        p { (file.description) }
+        p.dim { (results.finished()) " of " (experiment.cells().len()) " runs are finished." }
+        @for table in tables.figures.iter().chain(&tables.costs) { (table) }
+        (pictures(pages))
+        h2 { "Over time" }
+        p.dim { "The first seed of each arm." }
+        div.row { @for chart in charts(results, out) { (chart) } }
+        h2 { "Tests" }
+        // A row for every comparison and metric: to be looked up, not to be scrolled past.
+        details {
+            summary { "Every comparison, and whether it may be chance" }
+            @for table in &tables.tests { (table) }
+        }
+        h2 { "Runs" }
+        details { summary { "Every run" } (every_run(results)) }
+        (repeat(command))
+        details { summary { "Experiment" } pre { (to_toml(file)) } }
+    };
+    document(&file.title, &page)
 }
 
 /// The figures of each run, with a link to its own page.
-fn write_runs(page: &mut Html, results: &Results<'_>) {
-    let experiment = results.experiment;
-    page.element("h2", "Runs").open("details").element("summary", "Every run");
-    page.open("figure class=\"table\"").open("table");
-    page.headings(&["run", "test PSNR, dB", "train PSNR, dB", "Gaussians", "time"]);
-    for cell in experiment.cells() {
-        let Some(metrics) = results.get(cell) else { continue };
-        let folder = experiment.folder(cell);
-        page.open("tr").open("th").attribute_of("a", "href", &link(&folder.join("report.html")));
-        page.text(&shown(folder.strip_prefix(CELLS).unwrap_or(&folder))).close("a").close("th");
-        let psnr = [&metrics.test, &metrics.train].map(|scores| number(Some(scores.psnr), 2, ""));
-        let more = [thousands(metrics.gaussians), duration(metrics.seconds.training())];
-        psnr.iter().chain(&more).for_each(|cell| _ = page.element("td", cell));
-        page.close("tr");
-    }
-    page.close("table").close("figure").close("details");
+fn every_run(results: &Results<'_>) -> Markup {
+    let row = |cell: Cell| {
+        let (metrics, folder) = (results.get(cell)?, results.experiment.folder(cell));
+        let name = shown(folder.strip_prefix(CELLS).unwrap_or(&folder));
+        let [test, train] = [&metrics.test, &metrics.train].map(|scores| number(Some(scores.psnr), 2, ""));
+        let cells = [test, train, thousands(metrics.gaussians), duration(metrics.seconds.training())];
+        Some((html! { a href=(link(&folder.join("report.html"))) { (name) } }, cells.into()))
+    };
+    let rows: Vec<_> = results.experiment.cells().into_iter().filter_map(row).collect();
+    table(&["run", "test PSNR, dB", "train PSNR, dB", "Gaussians", "time"], &rows)
 }
 
 /// For each pair of arms, both renders of the photo that gained most under one slider.
-fn write_pictures(page: &mut Html, pages: &[Page]) {
-    if pages.is_empty() {
-        return;
-    }
-    page.element("h2", "What changed");
-    page.element(
-        "p",
-        "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow keys.",
-    );
-    for (index, Page { path, caption, renders }) in pages.iter().enumerate() {
-        let name = shown(path);
-        page.open("figure class=\"sheet\"");
-        if index < PICTURES_MAX {
-            let pictures = renders.each_ref().map(|(name, render)| (name.as_str(), render));
-            picture::write_slider(page, pictures, SLIDER_PX);
+fn pictures(pages: &[Page]) -> Markup {
+    let slider = |page: &Page| {
+        picture::slider(page.renders.each_ref().map(|(name, render)| (name.as_str(), render)), SLIDER_PX)
+    };
+    html! {
+        @if !pages.is_empty() {
+            h2 { "What changed" }
+            p {
+                "Under each slider is the test photo that gained most. "
+                "Drag the border, or move it with the arrow keys."
+            }
+            @for (index, page) in pages.iter().enumerate() {
+                figure.sheet {
+                    @if index < PICTURES_MAX { (slider(page)) }
+                    figcaption {
+                        "Where it changed most, in " a href=(link(&page.path)) { (shown(&page.path)) } ": "
+                        (page.caption)
+                    }
+                }
+            }
         }
-        page.open("figcaption").text("Where it changed most, in ");
-        page.attribute_of("a", "href", &link(path)).text(&name).close("a");
-        page.text(&format!(": {caption}")).close("figcaption").close("figure");
     }
 }
 

@@ -20,7 +20,7 @@ use genesplat::run::settings::Machine;
 use genesplat::run::settings::Settings;
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{FOLDERS, METRICS};
-use genesplat::run::{files, scene};
+use genesplat::run::{files, output, scene};
 use genesplat::train::TrainError;
 
 use super::board::Board;
@@ -191,7 +191,10 @@ impl<'a> Runner<'a> {
             self.has_gallery.store(true, Ordering::Relaxed);
         }
         let spill = Spill { folder: self.out.to_owned(), memory_bytes: scene::PHOTO_MEMORY };
-        scene::load(&settings.dataset, config.background.fixed_colour(), config.seed, Some(spill))
+        let scene =
+            scene::load(&settings.dataset, config.background.fixed_colour(), config.seed, Some(spill))?;
+        scene.doubts.iter().for_each(|doubt| output::tell(&format!("notice: {}", doubt.problem)));
+        Ok(scene)
     }
 
     /// `None` for a run that was stopped.

@@ -3,7 +3,7 @@
 //! What a figure means is decided once, in the cell ([`Entry`]); the writers only format it.
 
 use genesplat::run::numbers::thousands;
-use genesplat::run::report::html::Html;
+use maud::{Markup, Render, html};
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Table {
@@ -77,25 +77,28 @@ impl Table {
         }
         text
     }
+}
 
-    pub(crate) fn write_html(&self, page: &mut Html) {
-        page.open("figure class=\"table\"");
-        page.element("figcaption", &self.caption);
-        page.open("table").open("tr").element("th", "");
-        self.columns.iter().for_each(|column| _ = page.element("th", column));
-        page.close("tr");
-        for (name, entries) in &self.rows {
-            page.open("tr").element("th", name);
-            for (mean, spread, better) in entries.iter().map(Entry::parts) {
-                page.open(if better { "td class=\"better\"" } else { "td" }).text(&mean);
-                if !spread.is_empty() {
-                    page.element("small", &spread);
+impl Render for Table {
+    fn render(&self) -> Markup {
+        html! {
+            figure.table {
+                figcaption { (self.caption) }
+                table {
+                    tr { th {} @for column in &self.columns { th { (column) } } }
+                    @for (name, entries) in &self.rows {
+                        tr { th { (name) } @for entry in entries { (entry) } }
+                    }
                 }
-                page.close("td");
             }
-            page.close("tr");
         }
-        page.close("table").close("figure");
+    }
+}
+
+impl Render for Entry {
+    fn render(&self) -> Markup {
+        let (mean, spread, better) = self.parts();
+        html! { td.better[better] { (mean) @if !spread.is_empty() { small { (spread) } } } }
     }
 }
 
@@ -143,9 +146,7 @@ mod tests {
 
     #[test]
     fn html_escapes_names() {
-        let mut page = Html::new();
-        table().write_html(&mut page);
-        let text = page.into_text();
+        let text = table().render().into_string();
         assert!(text.contains("<th>&lt;i&gt;|</th>") && !text.contains("<i>"), "{text}");
         assert!(text.contains("<th>genetic ΔP</th>"), "{text}");
         assert!(text.contains("<td class=\"better\">+0.26<small> ± 0.03</small></td>"), "{text}");

@@ -2,7 +2,7 @@
 //!
 //! A chart is as wide as a narrow screen, so that its labels are as large as the page's text there.
 
-use crate::report::html::Html;
+use maud::{Markup, Render, html};
 
 const WIDTH: f64 = 360.0;
 const HEIGHT: f64 = 200.0;
@@ -77,61 +77,66 @@ impl Axis {
     }
 }
 
-impl Chart {
-    /// Writes the chart as a figure; nothing where no curve has two points.
-    pub fn write(&self, page: &mut Html) {
-        if self.series.iter().all(|series| series.points.len() < 2) {
-            return;
-        }
+/// A figure; nothing where no curve has two points.
+impl Render for Chart {
+    fn render(&self) -> Markup {
         let curves: Vec<_> = self.series.iter().map(|series| thinned(&series.points, POINTS)).collect();
         let along = |axis: usize| curves.iter().flatten().map(move |point| point[axis]);
         let (x, y) =
             (Axis::around(along(0), LEFT, WIDTH - RIGHT), Axis::around(along(1), HEIGHT - BOTTOM, TOP));
-        page.open("figure").element("figcaption", &self.caption);
-        page.open(&format!("svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\""));
-        page.element("title", &self.caption);
-        self.write_axes(page, &x, &y);
-        for (index, points) in curves.iter().enumerate() {
-            let place = |point: &[f64; 2]| format!("{:.1} {:.1}", x.at(point[0]), y.at(point[1]));
-            let line = points.iter().map(place).collect::<Vec<_>>().join("L");
-            page.open(&format!("path class=\"line\" style=\"{}\" d=\"M{line}\"/", stroke(index)));
+        let place = |point: &[f64; 2]| format!("{:.1} {:.1}", x.at(point[0]), y.at(point[1]));
+        let line = |points: &[[f64; 2]]| points.iter().map(place).collect::<Vec<_>>().join("L");
+        html! {
+            @if self.series.iter().any(|series| series.points.len() > 1) {
+                figure {
+                    figcaption { (self.caption) }
+                    svg viewBox=(format!("0 0 {WIDTH} {HEIGHT}")) role="img" {
+                        title { (self.caption) }
+                        (axes(&x, &y, self.x_name))
+                        @for (index, points) in curves.iter().enumerate() {
+                            path.line style=(stroke(index)) d={ "M" (line(points)) } {}
+                        }
+                    }
+                    @if self.series.len() > 1 { (legend(&self.series)) }
+                }
+            }
         }
-        page.close("svg");
-        self.write_legend(page);
-        page.close("figure");
     }
+}
 
-    fn write_axes(&self, page: &mut Html, x: &Axis, y: &Axis) {
-        let bottom = HEIGHT - BOTTOM;
-        for value in y.ticks() {
-            let at = y.at(value);
-            page.open(&format!("path class=\"grid\" d=\"M{LEFT} {at:.1}H{}\"/", WIDTH - RIGHT));
-            let place = format!("text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\"", LEFT - 5.0, at + 4.0);
-            page.element(&place, &label(value));
+fn axes(x: &Axis, y: &Axis, x_name: &str) -> Markup {
+    let bottom = HEIGHT - BOTTOM;
+    html! {
+        @for (at, value) in y.ticks().into_iter().map(|value| (y.at(value), value)) {
+            path.grid d={ "M" (LEFT) " " (tenths(at)) "H" (WIDTH - RIGHT) } {}
+            text x=(LEFT - 5.0) y=(tenths(at + 4.0)) text-anchor="end" { (label(value)) }
         }
-        for value in x.ticks() {
-            let at = x.at(value);
-            page.open(&format!("path class=\"grid\" d=\"M{at:.1} {bottom}v4\"/"));
-            let place = format!("text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\"", bottom + 15.0);
-            page.element(&place, &label(value));
+        @for (at, value) in x.ticks().into_iter().map(|value| (tenths(x.at(value)), value)) {
+            path.grid d={ "M" (at) " " (bottom) "v4" } {}
+            text x=(at) y=(bottom + 15.0) text-anchor="middle" { (label(value)) }
         }
-        let middle = f64::midpoint(LEFT, WIDTH - RIGHT);
-        let place = format!("text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\"", HEIGHT - 4.0);
-        page.element(&place, self.x_name);
+        text x=(f64::midpoint(LEFT, WIDTH - RIGHT)) y=(HEIGHT - 4.0) text-anchor="middle" { (x_name) }
     }
+}
 
-    fn write_legend(&self, page: &mut Html) {
-        if self.series.len() < 2 {
-            return;
+fn legend(series: &[Series]) -> Markup {
+    html! {
+        ul.legend {
+            @for (index, series) in series.iter().enumerate() {
+                li {
+                    svg viewBox="0 0 24 8" aria-hidden="true" {
+                        path.line style=(stroke(index)) d="M0 4H24" {}
+                    }
+                    span { (series.name) }
+                }
+            }
         }
-        page.open("ul class=\"legend\"");
-        for (index, series) in self.series.iter().enumerate() {
-            page.open("li").open("svg viewBox=\"0 0 24 8\" aria-hidden=\"true\"");
-            page.open(&format!("path class=\"line\" style=\"{}\" d=\"M0 4H24\"/", stroke(index)));
-            page.close("svg").element("span", &series.name).close("li");
-        }
-        page.close("ul");
     }
+}
+
+/// A place in a drawing, to a tenth of a unit.
+pub(super) fn tenths(place: f64) -> String {
+    format!("{place:.1}")
 }
 
 /// What tells the curve of this index from the others.
@@ -180,9 +185,7 @@ mod tests {
     fn points_are_drawn_where_they_belong() {
         let points = vec![[0.0, 1.0], [10.0, 3.0]];
         let series = vec![Series { name: "loss".into(), points }];
-        let mut page = Html::new();
-        Chart { caption: "c<".into(), x_name: "iteration", series }.write(&mut page);
-        let text = page.into_text();
+        let text = Chart { caption: "c<".into(), x_name: "iteration", series }.render().into_string();
         // Low and left, then high and right.
         assert!(text.contains("d=\"M52.0 166.0L338.0 12.0\""), "{text}");
         assert!(text.contains("c&lt;"));
@@ -193,10 +196,8 @@ mod tests {
         let strokes: std::collections::HashSet<String> = (0..13).map(stroke).collect();
         assert_eq!(strokes.len(), 13, "as many arms as the largest preset has");
         let series = |name: &str| Series { name: name.into(), points: vec![[0.0, 1.0]; 2] };
-        let mut page = Html::new();
         let chart = Chart { series: vec![series("one"), series("two")], ..Chart::default() };
-        chart.write(&mut page);
-        let text = page.into_text();
+        let text = chart.render().into_string();
         let legend = text.split_once("legend").expect("two curves need names").1;
         assert!(["one", "two", &stroke(1)].iter().all(|part| legend.contains(part)), "{text}");
     }
@@ -205,9 +206,7 @@ mod tests {
     fn a_constant_is_drawable_and_nothing_is_not() {
         let flat = Axis::around([5.0, 5.0].into_iter(), 0.0, 1.0);
         assert!(flat.low < 5.0 && flat.high > 5.0 && flat.at(5.0) == 0.5);
-        let mut page = Html::new();
-        Chart::default().write(&mut page);
-        assert!(page.into_text().is_empty(), "no curve, no chart");
+        assert!(Chart::default().render().into_string().is_empty(), "no curve, no chart");
     }
 
     #[test]

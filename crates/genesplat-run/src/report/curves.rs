@@ -70,8 +70,9 @@ impl Curves {
         });
         (best - test > LOSS_DB && train > best && !is_of_averages).then(|| {
             format!(
-                "test photos were best after {} of {} iterations ({best:.2} dB, and {test:.2} at the end, where training photos have \
-                 {train:.2}): the run learns its photos by heart; more photos between them would help, and fewer --iterations may",
+                "test photos were best after {} of {} iterations ({best:.2} dB, and {test:.2} at the end, \
+                 where training photos have {train:.2}): the run learns its photos by heart; \
+                 more photos between them would help, and fewer --iterations may",
                 thousands(iteration as usize),
                 thousands(metrics.iterations as usize),
             )

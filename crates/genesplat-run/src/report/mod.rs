@@ -1,7 +1,7 @@
 //! `report.html`: a run on one page that needs no network and no other file.
 //!
 //! Everything is inline: styles, curves as SVG, pictures as reduced JPEG in data URIs. Whatever comes from
-//! outside (names, paths, settings) passes through [`html::Html`], which escapes it.
+//! outside (names, paths, settings) passes through [`maud`], which escapes it.
 
 pub mod chart;
 mod crops;

@@ -4,11 +4,12 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat_core::Photo;
+use maud::html;
 
 use super::curves::{Curves, over_time};
-use super::html::{Html, document};
+use super::html::{document, figures};
 use super::picture;
-use super::run::write_repeat;
+use super::run::repeat;
 use crate::LOG;
 use crate::metrics::Metrics;
 use crate::numbers::{duration, number, thousands};
@@ -41,38 +42,39 @@ pub fn to_html(
 ) -> Result<String> {
     let [without, with] = sides;
     let Metrics { seed, iterations, .. } = with.metrics;
-    let iterations = thousands(*iterations as usize);
     let [before, after] = [without, with].map(|side| side.metrics.method_words());
-    let mut page = Html::new();
-    page.element("h1", title)
-        .element("p", &format!("{before} beside {after}, {iterations} iterations each, seed {seed}"));
-    page.figures(&figures(without.metrics, with.metrics));
-    page.element("h2", "The same photo, rendered by both");
-    let seen = format!("{photo}, which training never saw. Drag the border, or move it with the arrow keys.");
-    page.element("p", &seen);
     let pictures = [(before.as_str(), without.render), (after.as_str(), with.render)];
-    picture::write_slider(&mut page, pictures, PICTURE_PX);
-    page.element("h2", "Where they differ most");
-    page.element("p", "The program chose the places. Green: where error fell most; red: where it rose most.");
-    page.open("figure class=\"sheet\"");
     let alt = &format!("The photo with the places framed, and each place enlarged: photo, {before}, {after}");
-    picture::write_sheet(&mut page, sheet, SHEET_PX, alt);
-    page.close("figure").element("h2", "Over time").open("div class=\"row\"");
     let logs = sides
         .iter()
         .map(|Side { name, folder, .. }| Ok(((*name).to_owned(), Curves::read(&folder.join(LOG))?)));
-    over_time("", &logs.collect::<Result<Vec<_>>>()?).iter().for_each(|chart| chart.write(&mut page));
-    page.close("div").element("h2", "Each run").open("ul");
-    for Side { name, .. } in sides {
-        page.open("li").open(&format!("a href=\"{name}/report.html\""));
-        page.text(&format!("The run {name}")).close("a").close("li");
-    }
-    page.close("ul");
-    write_repeat(&mut page, command);
-    Ok(document(title, page))
+    let page = html! {
+        h1 { (title) }
+        p {
+            (before) " beside " (after) ", "
+            (thousands(*iterations as usize)) " iterations each, seed " (seed)
+        }
+        (figures(&figures_of_both(without.metrics, with.metrics)))
+        h2 { "The same photo, rendered by both" }
+        p { (photo) ", which training never saw. Drag the border, or move it with the arrow keys." }
+        (picture::slider(pictures, PICTURE_PX))
+        h2 { "Where they differ most" }
+        p { "The program chose the places. Green: where error fell most; red: where it rose most." }
+        figure.sheet { (picture::sheet(sheet, SHEET_PX, alt)) }
+        h2 { "Over time" }
+        div.row {
+            @for chart in over_time("", &logs.collect::<Result<Vec<_>>>()?) { (chart) }
+        }
+        h2 { "Each run" }
+        ul {
+            @for Side { name, .. } in sides { li { a href={ (name) "/report.html" } { "The run " (name) } } }
+        }
+        (repeat(command))
+    };
+    Ok(document(title, &page))
 }
 
-fn figures(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
+fn figures_of_both(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
     let first = without.method_words();
     let both = |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} with {first}", text(without)));
     [
@@ -82,4 +84,36 @@ fn figures(without: &Metrics, with: &Metrics) -> [(&'static str, String, String)
         ("Training time", both(&|run| duration(run.seconds.training()))),
     ]
     .map(|(name, (value, more))| (name, value, more))
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_train::MethodName::{self, Genesplat, ThreeDgs};
+
+    use super::*;
+
+    fn metrics(method: MethodName, psnr: f64) -> Metrics {
+        let scores = serde_json::json!({"psnr": psnr, "ssim": 0.9, "views": []});
+        let metrics = serde_json::json!({"iterations": 7000, "gaussians": 4300, "test": scores, "train": scores,
+            "seconds": {"gradient": 60.0, "evolution": 0.0}});
+        Metrics { method, seed: 7, ..serde_json::from_value(metrics).unwrap() }
+    }
+
+    #[test]
+    fn both_runs_have_their_figures_pictures_and_links() {
+        let (photo, nowhere) = (Photo { width: 20, height: 10, rgb: vec![90; 600] }, Path::new("nowhere"));
+        let (published, ours) = (metrics(ThreeDgs, 25.5), metrics(Genesplat, 26.25));
+        let side = |name, metrics| Side { name, metrics, folder: nowhere, render: &photo };
+        let sides = [side("3dgs", &published), side("<ours>", &ours)];
+        let page = to_html("<fox>", &sides, "a.png", &photo, "genesplat demo").unwrap();
+        let parts = [
+            "<h1>&lt;fox&gt;</h1>",
+            "3dgs beside genesplat, 7,000 iterations each, seed 7",
+            "<dd>26.25 dB<small>25.50 dB with 3dgs</small></dd>",
+            "<a href=\"&lt;ours&gt;/report.html\">The run &lt;ours&gt;</a>",
+            "a.png, which training never saw",
+        ];
+        parts.iter().for_each(|part| assert!(page.contains(part), "{part}"));
+        assert_eq!(page.matches("<img").count(), 3, "two under the slider, and the sheet");
+    }
 }

@@ -5,34 +5,35 @@ use base64::engine::general_purpose::STANDARD;
 use genesplat_core::Photo;
 use genesplat_io::PhotoSize;
 use genesplat_io::photos::{encode_jpeg, resize};
-
-use crate::report::html::Html;
+use maud::{Markup, html};
 
 /// Of 100: no artefact that could be taken for one of the splat's, at about a bit a pixel.
 const JPEG_QUALITY: u8 = 85;
-/// Writes `photo` into the page, with its longer side at most `side` px.
-pub fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
-    page.attribute_of(&format!("img src=\"{}\"", data_uri(photo, side)), "alt", alt);
+
+/// `photo`, with its longer side at most `side` px.
+fn picture(photo: &Photo, side: u32, alt: &str) -> Markup {
+    html! { img src=(data_uri(photo, side)) alt=(alt); }
 }
 
-/// The same for a sheet of small pictures: on a narrow screen it is scrolled, not shrunk.
-pub(crate) fn write_sheet(page: &mut Html, sheet: &Photo, side: u32, alt: &str) {
-    page.attribute_of("div tabindex=\"0\" role=\"region\"", "aria-label", alt);
-    write(page, sheet, side, alt);
-    page.close("div");
+/// A sheet of small pictures: on a narrow screen it is scrolled, not shrunk.
+pub(crate) fn sheet(sheet: &Photo, side: u32, alt: &str) -> Markup {
+    html! {
+        div tabindex="0" role="region" aria-label=(alt) { (picture(sheet, side, alt)) }
+    }
 }
 
-/// Writes two pictures of one size into one place, with a slider that moves the border between them.
-pub fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u32) {
+/// Two pictures of one size in one place, with a slider that moves the border between them.
+pub fn slider([left, right]: [(&str, &Photo); 2], side: u32) -> Markup {
     let ratio = f64::from(left.1.width) / f64::from(left.1.height);
-    page.open(&format!("div class=\"slider\" style=\"--ratio:{ratio:.4}\""));
-    [left, right].iter().for_each(|(name, photo)| write(page, photo, side, name));
-    page.element("span", left.0).element("span", right.0);
-    let label = format!("{} on the left, {} on the right: move the border", left.0, right.0);
     let moved = "this.parentNode.style.setProperty('--at',this.value+'%')";
-    let input =
-        format!("input type=\"range\" min=\"0\" max=\"100\" step=\"any\" value=\"50\" oninput=\"{moved}\"");
-    page.attribute_of(&input, "aria-label", &label).close("div");
+    html! {
+        div.slider style=(format!("--ratio:{ratio:.4}")) {
+            @for (name, photo) in [left, right] { (picture(photo, side, name)) }
+            @for (name, _) in [left, right] { span { (name) } }
+            input type="range" min="0" max="100" step="any" value="50" oninput=(moved)
+                aria-label={ (left.0) " on the left, " (right.0) " on the right: move the border" };
+        }
+    }
 }
 
 fn data_uri(photo: &Photo, side: u32) -> String {
@@ -48,9 +49,7 @@ mod tests {
     #[test]
     fn a_slider_holds_both_pictures_and_names_them() {
         let photo = Photo { width: 20, height: 10, rgb: vec![90; 600] };
-        let mut page = Html::new();
-        write_slider(&mut page, [("photo", &photo), ("<render>", &photo)], 300);
-        let text = page.into_text();
+        let text = slider([("photo", &photo), ("<render>", &photo)], 300).into_string();
         assert_eq!(text.matches("<img src=\"data:image/jpeg;base64,").count(), 2, "{text}");
         assert!(text.contains("--ratio:2.0000") && text.contains("type=\"range\""), "{text}");
         assert!(text.contains("aria-label=\"photo on the left, &lt;render&gt; on the right"), "{text}");
@@ -59,9 +58,7 @@ mod tests {
     #[test]
     fn pictures_are_inline_and_small() {
         let photo = Photo { width: 900, height: 600, rgb: vec![90; 3 * 900 * 600] };
-        let mut page = Html::new();
-        write(&mut page, &photo, 300, "a\"b");
-        let text = page.into_text();
+        let text = picture(&photo, 300, "a\"b").into_string();
         assert!(
             text.starts_with("<img src=\"data:image/jpeg;base64,/9j/") && text.ends_with("alt=\"a&quot;b\">")
         );

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use anyhow::Result;
-use genesplat_core::Photo;
 use genesplat_io::photos::read_photo;
 use genesplat_io::{Scene, command_line};
 use genesplat_metrics::{Evaluation, ViewScore};
 use genesplat_train::timeline::Timeline;
+use maud::{Markup, html};
 
 use super::chart::{Chart, Series};
 use super::curves::{Curves, over_time};
-use super::html::{Html, document};
+use super::html::{document, figures, table};
 use super::picture;
 use super::{stages, timeline};
 use crate::TEST;
@@ -35,59 +35,64 @@ pub(crate) struct RunPage<'a> {
 
 impl RunPage<'_> {
     pub(crate) fn into_html(self) -> Result<String> {
-        let Metrics { dataset, seed, iterations, test, .. } = self.metrics;
+        let Metrics { dataset, seed, iterations, test, evolution, .. } = self.metrics;
         let method = self.metrics.method_words();
-        let iterations = thousands(*iterations as usize);
-        let mut page = Html::new();
-        page.element("h1", dataset).element(
-            "p",
-            &format!(
-                "{method}, {iterations} iterations, seed {seed}; {} training photos, {} test photos",
-                self.scene.train.len(),
-                test.views.len()
-            ),
-        );
-        page.figures(&figures(self.metrics));
-        self.curves.notices.iter().for_each(|notice| _ = page.element("p class=\"notice\"", notice));
-        self.write_views(&mut page)?;
-        write_curves(&mut page, self.curves);
-        timeline::write(&mut page, self.timeline);
-        stages::write(&mut page, &self.metrics.evolution);
-        write_scores(&mut page, self.metrics);
-        write_repeat(&mut page, self.command);
-        page.open("details").element("summary", "Configuration").element("pre", self.config).close("details");
-        Ok(document(&format!("{dataset}: {method}, seed {seed}"), page))
+        let page = html! {
+            h1 { (dataset) }
+            p {
+                (method) ", " (thousands(*iterations as usize)) " iterations, seed " (seed) "; "
+                (self.scene.train.len()) " training photos, " (test.views.len()) " test photos"
+            }
+            (figures(&figures_of(self.metrics)))
+            @for notice in &self.curves.notices { p.notice { (notice) } }
+            h2 { "Photo and render" }
+            (self.best_and_worst()?)
+            h2 { "Over time" }
+            (over_iterations(self.curves))
+            (timeline::section(self.timeline))
+            (stages::section(evolution))
+            (all_figures(self.metrics))
+            (repeat(self.command))
+            details { summary { "Configuration" } pre { (self.config) } }
+        };
+        Ok(document(&format!("{dataset}: {method}, seed {seed}"), &page))
     }
 
     /// The best and the worst test photo, each with its render under a slider.
-    fn write_views(&self, page: &mut Html) -> Result<()> {
+    fn best_and_worst(&self) -> Result<Markup> {
         let scores = &self.metrics.test.views;
         let by_psnr = |a: &usize, b: &usize| scores[*a].psnr.total_cmp(&scores[*b].psnr);
         let (best, worst) = ((0..scores.len()).max_by(by_psnr), (0..scores.len()).min_by(by_psnr));
-        page.element("h2", "Photo and render");
         let (Some(best), Some(worst)) = (best, worst) else {
-            page.element("p", "No photo was held out.");
-            return Ok(());
+            return Ok(html! { p { "No photo was held out." } });
         };
-        page.element(
-            "p",
-            "Training never saw these photos. Drag the border, or move it with the arrow keys.",
-        );
-        let names = picture_names(&self.scene.test);
-        page.open("div class=\"views\"");
-        for (word, at) in
-            [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 })
-        {
-            let render = read_photo(&self.folder.join(TEST).join(&names[at]))?;
-            write_view(page, word, &scores[at], &*self.scene.test[at].photo.read()?, &render);
-        }
-        page.close("div");
-        Ok(())
+        let shown = [("Best", best), ("Worst", worst)];
+        Ok(html! {
+            p { "Training never saw these photos. Drag the border, or move it with the arrow keys." }
+            div.views {
+                @for (word, at) in &shown[..if best == worst { 1 } else { 2 }] { (self.view(word, *at)?) }
+            }
+        })
+    }
+
+    fn view(&self, word: &str, at: usize) -> Result<Markup> {
+        let ViewScore { name, psnr, ssim, .. } = &self.metrics.test.views[at];
+        let photo = self.scene.test[at].photo.read()?;
+        let render = read_photo(&self.folder.join(TEST).join(&picture_names(&self.scene.test)[at]))?;
+        Ok(html! {
+            figure {
+                figcaption {
+                    (word) ": " (name) ", " (number(Some(*psnr), 2, " dB"))
+                    ", SSIM " (number(Some(*ssim), 4, ""))
+                }
+                (picture::slider([("photo", &photo), ("render", &render)], PICTURE_PX))
+            }
+        })
     }
 }
 
 /// The figures that matter; of the training photos where none was held out.
-fn figures(metrics: &Metrics) -> [(&'static str, String, String); 4] {
+fn figures_of(metrics: &Metrics) -> [(&'static str, String, String); 4] {
     let Metrics { test, train, seconds, gaussians, .. } = metrics;
     let is_tested = !test.views.is_empty();
     let (scores, of) = if is_tested { (test, "of test photos") } else { (train, "of training photos") };
@@ -103,59 +108,57 @@ fn figures(metrics: &Metrics) -> [(&'static str, String, String); 4] {
     ]
 }
 
-fn write_view(page: &mut Html, word: &str, score: &ViewScore, photo: &Photo, render: &Photo) {
-    let caption = format!("{word}: {}, {:.2} dB, SSIM {:.4}", score.name, score.psnr, score.ssim);
-    page.open("figure").element("figcaption", &caption);
-    picture::write_slider(page, [("photo", photo), ("render", render)], PICTURE_PX);
-    page.close("figure");
-}
-
-fn write_curves(page: &mut Html, curves: Curves) {
+fn over_iterations(curves: Curves) -> Markup {
     let series = vec![Series { name: String::new(), points: curves.loss.clone() }];
     let loss = Chart { caption: "Training loss, of one photo at a time".into(), x_name: "iteration", series };
-    page.element("h2", "Over time").open("div class=\"row\"");
-    over_time("", &[(String::new(), curves)]).iter().chain([&loss]).for_each(|chart| chart.write(page));
-    page.close("div");
+    let [psnr, gaussians] = over_time("", &[(String::new(), curves)]);
+    html! { div.row { (psnr) (gaussians) (loss) } }
 }
 
 /// All scores, and where time went.
-fn write_scores(page: &mut Html, metrics: &Metrics) {
-    let cells =
-        |psnr, ssim, lpips| [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")];
-    page.element("h2", "All figures").open("figure class=\"table\"").open("table");
-    page.headings(&["", "photos", "PSNR, dB", "SSIM", "LPIPS"]);
-    for (name, Evaluation { psnr, ssim, lpips, views }) in
-        [("test", &metrics.test), ("train", &metrics.train)]
-    {
-        page.row(name, &[&[views.len().to_string()], &cells(*psnr, *ssim, *lpips)[..]].concat());
-    }
-    page.close("table").close("figure");
+fn all_figures(metrics: &Metrics) -> Markup {
     let seconds = &metrics.seconds;
-    let [load, gradient, evolution, evaluate, total] =
-        [seconds.load, seconds.gradient, seconds.evolution, seconds.evaluate, seconds.total].map(duration);
-    let peak = metrics.peak_memory_bytes;
-    let peak = peak.map_or(String::new(), |bytes| format!(" At most {} of memory.", memory(bytes)));
-    page.element(
-        "p class=\"dim\"",
-        &format!("Loading {load}, gradient steps {gradient}, evolution {evolution}, scoring {evaluate}; {total} in all.{peak}"),
-    );
-    if metrics.test.views.is_empty() {
-        return;
+    let rows = [row("test", &metrics.test), row("train", &metrics.train)];
+    html! {
+        h2 { "All figures" }
+        (table(&["", "photos", "PSNR, dB", "SSIM", "LPIPS"], &rows))
+        p.dim {
+            "Loading " (duration(seconds.load)) ", gradient steps " (duration(seconds.gradient))
+            ", evolution " (duration(seconds.evolution)) ", scoring " (duration(seconds.evaluate)) "; "
+            (duration(seconds.total)) " in all."
+            @if let Some(bytes) = metrics.peak_memory_bytes { " At most " (memory(bytes)) " of memory." }
+        }
+        @if !metrics.test.views.is_empty() {
+            details { summary { "Every test photo" } (every_photo(&metrics.test.views)) }
+        }
     }
-    page.open("details").element("summary", "Every test photo");
-    page.open("figure class=\"table\"").open("table").headings(&["photo", "PSNR, dB", "SSIM", "LPIPS"]);
-    for ViewScore { name, psnr, ssim, lpips } in &metrics.test.views {
-        page.row(name, &cells(*psnr, *ssim, *lpips));
-    }
-    page.close("table").close("figure").close("details");
+}
+
+/// A row for some photos: how many, and their scores.
+fn row(name: &str, Evaluation { psnr, ssim, lpips, views }: &Evaluation) -> (Markup, Vec<String>) {
+    (html! { (name) }, [&[views.len().to_string()], &scores(*psnr, *ssim, *lpips)[..]].concat())
+}
+
+fn every_photo(views: &[ViewScore]) -> Markup {
+    let row = |ViewScore { name, psnr, ssim, lpips }: &ViewScore| {
+        (html! { (name) }, scores(*psnr, *ssim, *lpips).into())
+    };
+    table(&["photo", "PSNR, dB", "SSIM", "LPIPS"], &views.iter().map(row).collect::<Vec<_>>())
+}
+
+fn scores(psnr: f64, ssim: f64, lpips: Option<f64>) -> [String; 3] {
+    [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")]
 }
 
 /// How to come by the same result.
-pub fn write_repeat(page: &mut Html, command: &str) {
-    page.element("h2", "Repeat").element("pre class=\"command\"", command);
+pub fn repeat(command: &str) -> Markup {
     let (version, os, architecture) =
         (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
-    page.element("p class=\"dim\"", &format!("genesplat {version}, {os} {architecture}"));
+    html! {
+        h2 { "Repeat" }
+        pre.command { (command) }
+        p.dim { "genesplat " (version) ", " (os) " " (architecture) }
+    }
 }
 
 /// The command of this process, as its user may give it again.

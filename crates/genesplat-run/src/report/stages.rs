@@ -4,30 +4,29 @@ use std::collections::BTreeMap;
 
 use genesplat_io::plural;
 use genesplat_train::{StageKind, StageRecord};
+use maud::{Markup, html};
 
 use super::chart::{Chart, Series};
-use super::html::Html;
+use super::html::table;
 use crate::numbers::{duration, thousands};
 
-/// Writes the section; nothing for a run without stages.
-pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
-    if records.is_empty() {
-        return;
-    }
+/// The section of a page; nothing for a run without stages.
+pub(crate) fn section(records: &[StageRecord]) -> Markup {
     // One that is kept or taken back later than others begin is recorded behind them.
     let mut records: Vec<&StageRecord> = records.iter().collect();
     records.sort_by_key(|record| record.iteration);
     let kept = records.iter().filter(|record| record.changed > 0).count();
     let stages = plural(records.len(), "stage", "stages");
-    page.element("h2", "What was searched and averaged")
-        .element("p", &format!("{kept} of {} {stages} changed the cloud.", records.len()));
-    for kind in StageKind::ALL.into_iter().filter(|kind| records.iter().any(|record| record.kind == *kind)) {
-        page.element("p class=\"dim\"", about(kind));
+    let has = |kind: &StageKind| records.iter().any(|record| record.kind == *kind);
+    html! {
+        @if !records.is_empty() {
+            h2 { "What was searched and averaged" }
+            p { (kept) " of " (records.len()) " " (stages) " changed the cloud." }
+            @for kind in StageKind::ALL.into_iter().filter(has) { p.dim { (about(kind)) } }
+            div.row { (guard_chart(&records)) }
+            details { summary { "Every stage" } (every_stage(&records)) }
+        }
     }
-    page.open("div class=\"row\"");
-    guard_chart(&records).write(page);
-    page.close("div");
-    write_table(page, &records);
 }
 
 /// What a stage does, and what decides whether it stays.
@@ -36,8 +35,8 @@ fn about(kind: StageKind) -> &'static str {
         StageKind::Genetic => "A genetic search stays if the loss on its training photos falls.",
         StageKind::ExtraSteps => "Extra steps are gradient steps in the place of a search, and always stay.",
         StageKind::Averaging => {
-            "Averages of the last states fit training photos a little less as a rule, and others better; they stay unless the guards, \
-             which are training photos, lose 0.6 dB by them."
+            "Averages of the last states fit training photos a little less as a rule, and others better; \
+             they stay unless the guards, which are training photos, lose 0.6 dB by them."
         }
     }
 }
@@ -57,29 +56,28 @@ fn guard_chart(records: &[&StageRecord]) -> Chart {
     }
 }
 
-fn write_table(page: &mut Html, records: &[&StageRecord]) {
-    page.open("details").element("summary", "Every stage");
-    page.open("figure class=\"table\"").open("table");
+fn every_stage(records: &[&StageRecord]) -> Markup {
     let guards = ["guard PSNR before, dB", "after, dB"];
     let names = ["iteration", "stage", "Gaussians changed", guards[0], guards[1], "loss before", "after"];
-    page.headings(&[&names[..], &["renders", "time"]].concat());
-    for record in records {
-        let guard = |which: usize| {
-            record.guard_psnr.map_or("-".into(), |psnr: [f64; 2]| format!("{:.2}", psnr[which]))
-        };
-        let cells = [
-            record.kind.name().to_owned(),
-            thousands(record.changed),
-            guard(0),
-            guard(1),
-            format!("{:.5}", record.fitness_before),
-            format!("{:.5}", record.fitness_after),
-            thousands(record.renders as usize),
-            duration(record.seconds),
-        ];
-        page.row(&thousands(record.iteration as usize), &cells);
-    }
-    page.close("table").close("figure").close("details");
+    let rows: Vec<_> = records.iter().map(|record| stage(record)).collect();
+    table(&[&names[..], &["renders", "time"]].concat(), &rows)
+}
+
+/// A row of the table: the iteration, and what was done.
+fn stage(record: &StageRecord) -> (Markup, Vec<String>) {
+    let guard =
+        |which: usize| record.guard_psnr.map_or("-".into(), |psnr: [f64; 2]| format!("{:.2}", psnr[which]));
+    let cells = [
+        record.kind.name().to_owned(),
+        thousands(record.changed),
+        guard(0),
+        guard(1),
+        format!("{:.5}", record.fitness_before),
+        format!("{:.5}", record.fitness_after),
+        thousands(record.renders as usize),
+        duration(record.seconds),
+    ];
+    (html! { (thousands(record.iteration as usize)) }, cells.into())
 }
 
 #[cfg(test)]
@@ -103,9 +101,7 @@ mod tests {
 
     #[test]
     fn stages_come_in_the_order_of_their_iterations() {
-        let mut page = Html::new();
-        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))]);
-        let text = page.into_text();
+        let text = section(&[record(4000, None), record(3500, Some([30.0, 30.5]))]).into_string();
         let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
         assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
         assert!(at("2 of 2 stages changed") > 0 && at("Averages of") > 0 && at("A genetic search") > 0);
@@ -114,9 +110,8 @@ mod tests {
 
     #[test]
     fn what_guards_gained_is_a_curve() {
-        let mut page = Html::new();
-        write(&mut page, &[record(3500, Some([30.0, 30.5])), record(4000, Some([30.5, 30.6]))]);
-        let text = page.into_text();
+        let text =
+            section(&[record(3500, Some([30.0, 30.5])), record(4000, Some([30.5, 30.6]))]).into_string();
         assert!(text.contains("Guard PSNR gained") && text.matches("<svg").count() == 1, "{text}");
     }
 }

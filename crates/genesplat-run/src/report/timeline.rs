@@ -1,8 +1,10 @@
 //! What happens when, as a drawing: a row for each event, along the iterations.
 
 use genesplat_train::timeline::{Event, Timeline, When};
+use maud::{Markup, html};
 
-use super::html::Html;
+use super::chart::tenths;
+use crate::numbers::thousands;
 
 const WIDTH: f64 = 720.0;
 const LABELS: f64 = 190.0;
@@ -11,29 +13,35 @@ const ROW: f64 = 22.0;
 /// More of them are a bar.
 const TICKS: usize = 48;
 
-/// Writes the section.
-pub(crate) fn write(page: &mut Html, timeline: &Timeline) {
+/// The section of a page.
+pub(crate) fn section(timeline: &Timeline) -> Markup {
     let rows = rows(timeline);
     let height = ROW * (rows.len() + 1) as f64;
-    page.element("h2", "Timeline").open("figure");
-    page.open(&format!("svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\""))
-        .element("title", "What happens when");
-    for ((event, whens), row) in rows.iter().zip(0..) {
-        let y = ROW * (f64::from(row) + 0.5);
-        page.element(&format!("text x=\"0\" y=\"{:.1}\"", y + 4.0), event.words());
-        let drawn: String = whens.iter().map(|&when| drawn(when, timeline.iterations, y)).collect();
-        page.open(&format!("path class=\"line\" style=\"stroke:var(--c0);stroke-width:2\" d=\"{drawn}\"/"));
+    html! {
+        h2 { "Timeline" }
+        figure {
+            svg viewBox=(format!("0 0 {WIDTH} {height}")) role="img" {
+                title { "What happens when" }
+                @for (nth, (event, whens)) in rows.iter().enumerate() {
+                    (row(*event, whens, timeline.iterations, ROW * (nth as f64 + 0.5)))
+                }
+                @for (part, anchor) in [(0.0, "start"), (0.5, "middle"), (1.0, "end")] {
+                    @let i = (f64::from(timeline.iterations) * part).round();
+                    @let [x, y] = [x_of(i, timeline.iterations), height - 6.0].map(tenths);
+                    text x=(x) y=(y) text-anchor=(anchor) { (thousands(i as usize)) }
+                }
+            }
+        }
     }
-    for (part, anchor) in [(0.0, "start"), (0.5, "middle"), (1.0, "end")] {
-        let i = (f64::from(timeline.iterations) * part).round();
-        let place = format!(
-            "text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\"",
-            x_of(i, timeline.iterations),
-            height - 6.0
-        );
-        page.element(&place, &crate::numbers::thousands(i as usize));
+}
+
+/// An event's name, and when it happens.
+fn row(event: Event, whens: &[When], iterations: u32, y: f64) -> Markup {
+    let drawn: String = whens.iter().map(|&when| drawn(when, iterations, y)).collect();
+    html! {
+        text x="0" y=(tenths(y + 4.0)) { (event.words()) }
+        path.line style="stroke:var(--c0);stroke-width:2" d=(drawn) {}
     }
-    page.close("svg").close("figure");
 }
 
 /// The events that happen at all but for steps, each with all that is planned of it.
@@ -71,9 +79,7 @@ mod tests {
     #[test]
     fn each_event_has_a_row_and_few_are_ticks() {
         let schedule = TrainConfig::of(MethodName::ThreeDgs).resolve().unwrap();
-        let mut page = Html::new();
-        write(&mut page, schedule.timeline());
-        let text = page.into_text();
+        let text = section(schedule.timeline()).into_string();
         assert_eq!(text.matches("<path").count(), 2, "{text}");
         assert_eq!(text.matches("v8").count(), 4, "opacities are reset four times: {text}");
         assert!(

@@ -53,9 +53,14 @@ pub(crate) fn of_white_surroundings(
     Ok(is_missed.then(|| sentence.into()))
 }
 
-/// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`].
+/// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`]. Presets take a tenth, which
+/// keeps the interval of densification alone.
 fn notice_of_kept_intervals(schedule: &Schedule) -> Option<String> {
+    const USUAL_SCALE: f64 = 0.1;
     let (config, timeline) = (schedule.config(), schedule.timeline());
+    if config.steps_scale >= USUAL_SCALE {
+        return None;
+    }
     let has = |setting: &str| schedule.method().own_settings().contains(&setting);
     let recovery = timeline.recovery.filter(|_| has("densify_until"));
     let intervals = [
@@ -173,13 +178,14 @@ mod tests {
         for scale in [0.01, 0.1, 1.0, 2.0] {
             assert_eq!(notice(MethodName::Genesplat, scale), None, "{scale}");
         }
-        let text = notice(MethodName::ThreeDgs, 0.1).expect("a notice");
-        assert!(text.ends_with("100 iterations at least: method.densify_every is 100 and not 10"), "{text}");
+        assert_eq!((notice(MethodName::ThreeDgs, 0.1), notice(MethodName::ImprovedGs, 0.1)), (None, None));
+        let text = notice(MethodName::ThreeDgs, 0.09).expect("a notice");
+        assert!(text.ends_with("100 iterations at least: method.densify_every is 100 and not 9"), "{text}");
         let text = notice(MethodName::ThreeDgs, 0.01).expect("a notice");
         let both = "method.densify_every is 100 and not 1, method.reset_every is 100 and not 30";
         assert!(text.ends_with(both), "{text}");
-        let text = notice(MethodName::ImprovedGs, 0.1).expect("a notice");
-        assert!(text.ends_with("to recover from a reset is 100 and not 30"), "{text}");
+        let text = notice(MethodName::ImprovedGs, 0.05).expect("a notice");
+        assert!(text.ends_with("to recover from a reset is 100 and not 15"), "{text}");
     }
 
     #[test]

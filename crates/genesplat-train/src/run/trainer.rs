@@ -114,7 +114,7 @@ impl<'a> Trainer<'a> {
             Start::Points(points) => {
                 // Before they are thinned and in another order, so that users find the one that is named.
                 check_points(&points)?;
-                let points = thinned(&points, self.run.cap.most_points());
+                let points = thinned(&points, self.run.cap.most_points(points.len()));
                 self.upload_seeds(&Seeds::new(in_spatial_order(&points))?)?
             }
             Start::Cloud(cloud) => {

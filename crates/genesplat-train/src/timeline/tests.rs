@@ -1,3 +1,6 @@
+mod methods;
+mod virtual_views;
+
 use genesplat_core::{DensitySignal, LearningRates};
 use genesplat_evolve::GeneticConfig;
 
@@ -205,134 +208,6 @@ fn events_have_their_order() {
 }
 
 #[test]
-fn the_last_two_fifths_are_averaged() {
-    use MethodName::{Genesplat, ImprovedGs, Mcmc, MipSplatting, ThreeDgs};
-    // Where density control ends early, too, when rows stay what they are for longer, and MCMC's lasts into
-    // them.
-    for (method, until) in [
-        (Genesplat, 15_000),
-        (ThreeDgs, 15_000),
-        (ThreeDgs, 12_000),
-        (ThreeDgs, 0),
-        (MipSplatting, 15_000),
-        (ImprovedGs, 15_000),
-        (Mcmc, 25_000),
-    ] {
-        let schedule = schedule_of(method, |config| {
-            (config.method.averaging, config.method.densify_until) = (true, until);
-        });
-        assert_eq!(iterations_with(&schedule, Event::TakeMean), [30_000]);
-        let averaged = iterations_with(&schedule, Event::AddToMean);
-        assert_eq!((averaged.len(), averaged[0], averaged[1], averaged[78]), (79, 18_150, 18_300, 29_850));
-        assert_eq!(iterations_with(&schedule, Event::Search), [] as [u32; 0], "none of the paper's");
-    }
-    let none = schedule_of(Genesplat, |config| {
-        (config.method.averaging, config.method.virtual_views) = (false, 0);
-    });
-    assert!((1..=30_000).all(|i| none.timeline().at(i).all(|event| !event.is_evolution())));
-}
-
-#[test]
-fn runs_of_any_length_average_what_comes_after_three_fifths() {
-    for iterations in 1..=1000u32 {
-        let schedule = schedule_of(MethodName::Genesplat, |config| config.iterations = iterations);
-        let part = |fraction: f64| (f64::from(iterations) * fraction).round() as u32;
-        let (window, every) = (part(0.4), (part(0.05).max(1) / 10).max(1));
-        let is_state = |i: &u32| iterations - i < window && (iterations - i).is_multiple_of(every);
-        let wanted: Vec<u32> =
-            if window > 1 { (1..iterations).filter(is_state).collect() } else { Vec::new() };
-        assert_eq!(iterations_with(&schedule, Event::AddToMean), wanted);
-        let taken = iterations_with(&schedule, Event::TakeMean);
-        assert_eq!(taken, if window > 1 { vec![iterations] } else { Vec::new() });
-        assert!(taken.is_empty() || !wanted.is_empty(), "a mean of no state");
-    }
-}
-
-#[test]
-fn ours_fits_its_schedule_into_the_run() {
-    let short = schedule_of(MethodName::Genesplat, |config| config.iterations = 6000);
-    let scaled = schedule_of(MethodName::Genesplat, |config| config.steps_scale = 0.2);
-    for schedule in [&short, &scaled] {
-        assert_eq!(schedule.iterations, 6000);
-        let densify = Densification { from: 100, until: 3000, every: 100 };
-        assert_eq!(schedule.timeline().densify, densify);
-        assert_eq!(iterations_with(schedule, Event::ResetOpacity), [600, 1200, 1800, 2400]);
-        assert_eq!(schedule.rates(2.0, 6000).position, 4e-6, "the last rate");
-        assert!(
-            (1..=6000).all(|i| step(schedule, i) != OptimiserStep::Later),
-            "averages stand for large steps"
-        );
-        assert_eq!((schedule.sh_degree(199), schedule.sh_degree(200)), (0, 1));
-    }
-    let plain = schedule(|config| config.iterations = 6000);
-    assert_eq!((plain.timeline().densify.from, plain.sh_degree(999)), (500, 0), "cut short");
-    let improved =
-        |averaging| schedule_of(MethodName::ImprovedGs, |config| config.method.averaging = averaging);
-    assert_eq!(step(&improved(false), 15_001), OptimiserStep::Later, "as published");
-    assert!(
-        (1..=30_000).all(|i| step(&improved(true), i) != OptimiserStep::Later),
-        "averages stand for them, too"
-    );
-}
-
-#[test]
-fn improved_gs_prunes_after_resets_and_steps_less_often_later() {
-    let schedule = schedule_of(MethodName::ImprovedGs, |_| {});
-    let timeline = schedule.timeline();
-    let all = |due: &dyn Fn(u32) -> bool| (1..=30_000).filter(|&i| due(i)).collect::<Vec<_>>();
-    assert_eq!(iterations_with(&schedule, Event::Densify).len(), 144);
-    assert_eq!(all(&|i| timeline.has_recovered(i)), [3300, 6300, 9300, 12_300]);
-    assert_eq!(all(&|i| timeline.prunes_slow(i)), [3300, 6300]);
-    let budgets = [500, 640, 4000, 14_500, 14_900].map(|i| (1e6 * timeline.grown(i, 40)).round());
-    assert_eq!(budgets, [0.0, 1e5, 5e5, 1e6, 1e6]);
-    assert!(!timeline.is_full(14_500) && timeline.is_full(14_600));
-    let steps = |wanted| all(&|i| timeline.optimiser_step(i) == wanted).len();
-    // The last iteration would be the 375th of twenty views.
-    assert_eq!(steps(OptimiserStep::All), 15_000 - 144 + 1500 + 374);
-    assert_eq!(steps(OptimiserStep::Lost), 145);
-    let rates = |i| schedule.rates(2.0, i);
-    assert_eq!((rates(30_000).position, rates(1).opacity), (4e-6, 0.025));
-}
-
-#[test]
-fn improved_gs_scales_its_windows() {
-    let tenth = schedule_of(MethodName::ImprovedGs, |config| config.steps_scale = 0.1);
-    let timeline = tenth.timeline();
-    // Resets at 300, 600, ...; opacities have a hundred iterations, and only the first nine hundred prune
-    // what is slow.
-    let all = |due: &dyn Fn(u32) -> bool| (1..=3000).filter(|&i| due(i)).collect::<Vec<_>>();
-    assert_eq!(all(&|i| timeline.has_recovered(i)), [400, 700, 1000, 1300]);
-    assert_eq!(all(&|i| timeline.prunes_slow(i)), [400, 700]);
-    let late = all(&|i| timeline.optimiser_step(i) == OptimiserStep::Later);
-    assert_eq!((late[0], late.len()), (1501, 750 - 150 + 749 - 37));
-}
-
-#[test]
-fn ours_grows_gradually_unless_the_run_is_short() {
-    let of = |iterations| schedule_of(MethodName::Genesplat, |config| config.iterations = iterations);
-    let gradual = of(7000);
-    let timeline = gradual.timeline();
-    assert_eq!(timeline.densify.until, 3500);
-    assert!(timeline.grown(3300, 140) < 1.0 && timeline.is_full(3400));
-    assert!((timeline.grown(1750, 140) - 0.5f64.powf(1.5)).abs() < 0.03, "slowly at first");
-    let root = 0.5f64.sqrt();
-    assert!((timeline.grown(1750, 141) - root).abs() < 0.03, "along the root, where photos are many");
-    assert!((of(4000).timeline().grown(1000, 9) - root).abs() < 0.05, "along the root");
-    let at_once = schedule_of(MethodName::Genesplat, |config| {
-        (config.iterations, config.method.gradual_growth) = (7000, false);
-    });
-    assert!((at_once.timeline().grown(1750, 9) - root).abs() < 0.03, "as published");
-}
-
-/// Towards what the photos can determine, which nobody can refuse before it is full.
-#[test]
-fn adaptive_control_grows_evenly_to_its_capacity_and_freely_without() {
-    let grown = |capacity, i| schedule(|config| config.method.capacity = capacity).timeline().grown(i, 9);
-    assert_eq!([149, 7450, 14_900, 14_999].map(|i| grown(1.0, i)), [0.01, 0.5, 1.0, 1.0]);
-    assert_eq!([1, 14_900].map(|i| grown(0.0, i)), [1.0; 2]);
-}
-
-#[test]
 fn a_run_that_is_cut_short_keeps_its_events() {
     let short = schedule(|config| config.iterations = 7000);
     assert_eq!(iterations_with(&short, Event::Densify).last(), Some(&6900));
@@ -354,26 +229,6 @@ fn size_counts_from_the_first_reset_on_at_the_latest() {
         [after(1.0, 3000), after(0.1, 3000), after(1.0, 1000), after(0.005, 45)],
         [3000, 300, 1000, 15]
     );
-}
-
-#[test]
-fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
-    let schedule = schedule_of(MethodName::Mcmc, |config| config.background = Background::White);
-    let densify = iterations_with(&schedule, Event::Densify);
-    assert_eq!((densify.len(), densify[0], densify[243]), (244, 600, 24_900));
-    assert_eq!(iterations_with(&schedule, Event::ResetOpacity), [] as [u32; 0]);
-    let lost = (1..=30_000).filter(|&i| step(&schedule, i) != OptimiserStep::All);
-    assert_eq!(lost.collect::<Vec<_>>(), [30_000], "the last one only measures");
-    assert_eq!(events(&schedule, 3000), [Event::Step, Event::Densify]);
-}
-
-#[test]
-fn the_3d_filter_follows_densification_and_then_every_hundredth_iteration() {
-    let schedule = schedule_of(MethodName::MipSplatting, |_| {});
-    let refreshed = iterations_with(&schedule, Event::RefreshFilter);
-    let late: Vec<u32> = refreshed.iter().copied().filter(|&i| i >= 15_000).collect();
-    assert_eq!((late[0], late[late.len() - 1], late.len()), (15_100, 29_800, 148));
-    assert_eq!((refreshed[0], refreshed.len()), (600, 144 + 148));
 }
 
 #[test]
@@ -424,84 +279,6 @@ fn statistics_end_with_densification_and_gene_sums_with_the_last_search() {
     let at = |i| schedule.statistics(Some(DensitySignal::Signed), i);
     assert!(at(14_999).density.is_some() && at(15_000).density.is_none());
     assert!(at(12_000).genes && !at(12_001).genes);
-}
-
-#[test]
-fn both_kinds_are_visited_one_after_another() {
-    use Visit::{Photo, Virtual};
-    let steps = VirtualSteps { from: 6, every: 4 };
-    let visits = (1..=14).map(|i| steps.visit(i));
-    let later = [Photo(6), Photo(7), Virtual(0), Photo(8), Photo(9), Photo(10), Virtual(1), Photo(11)];
-    assert!(visits.eq((0..6).map(Photo).chain(later)));
-    assert!((1..1000).all(|tens| matches!(steps.visit(10 * tens), Photo(_))), "their loss is logged");
-}
-
-/// A run of ours of 7000 iterations.
-fn looking(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
-    schedule_of(MethodName::Genesplat, |config| {
-        config.iterations = 7000;
-        change(config);
-    })
-}
-
-#[test]
-fn pictures_are_made_before_resets_and_later_as_often_as_density_control_works() {
-    let schedule = looking(|_| {});
-    let refreshed = iterations_with(&schedule, Event::RefreshVirtualViews);
-    assert_eq!((&refreshed[..4], refreshed.last()), (&[2100, 2800, 3500, 3600][..], Some(&6900)));
-    let resets = [2100, 2800, 3500].map(|i| schedule.timeline().is(Event::ResetOpacity, i));
-    assert_eq!(resets, [true, true, false]);
-    let order = events(&schedule, 2100);
-    assert_eq!(order, [Event::Step, Event::RefreshVirtualViews, Event::Densify, Event::ResetOpacity]);
-}
-
-#[test]
-fn pictures_of_runs_of_any_length_are_made_where_they_are_due() {
-    for (iterations, background) in (10..=700).flat_map(|i| [(i, Background::Black), (i, Background::White)])
-    {
-        let schedule = schedule_of(MethodName::Genesplat, |config| {
-            (config.iterations, config.background) = (iterations, background);
-        });
-        let timeline = schedule.timeline();
-        let is_ripe = |i: u32| {
-            let is_late = i >= timeline.reset_until && i.is_multiple_of(timeline.densify.every);
-            timeline.is(Event::ResetOpacity, i) || is_late
-        };
-        let from = (f64::from(iterations) * 0.3).round() as u32;
-        let wanted: Vec<u32> = (from.max(1)..iterations).filter(|&i| is_ripe(i)).collect();
-        assert_eq!(
-            iterations_with(&schedule, Event::RefreshVirtualViews),
-            wanted,
-            "{iterations}, {background:?}"
-        );
-    }
-}
-
-#[test]
-fn the_more_photos_the_fewer_looks() {
-    let asked = looking(|config| config.method.virtual_views = 1);
-    let every = |photos| asked.virtual_steps(photos).map(|steps| steps.every);
-    assert_eq!([1, 2, 16, 17, 32, 110].map(every), [None, Some(2), Some(2), Some(4), Some(4), Some(14)]);
-    assert_eq!(asked.virtual_steps(9).map(|steps| steps.from), Some(2100));
-}
-
-#[test]
-fn runs_that_learn_photos_by_heart_look_between_them() {
-    let has =
-        |iterations, photos| looking(|config| config.iterations = iterations).virtual_steps(photos).is_some();
-    assert!(has(7000, 2) && has(7000, 28) && !has(7000, 29), "250 looks at each");
-    assert!(has(30_000, 120) && !has(30_000, 121));
-}
-
-#[test]
-fn virtual_views_belong_to_our_method() {
-    assert!(looking(|_| {}).virtual_steps(9).is_some());
-    assert!(looking(|config| config.method.virtual_views = 0).virtual_steps(9).is_none());
-    for method in MethodName::ALL.into_iter().filter(|method| *method != MethodName::Genesplat) {
-        let schedule = schedule_of(method, |_| {});
-        assert!(schedule.virtual_steps(9).is_none(), "{method}");
-        assert_eq!(iterations_with(&schedule, Event::RefreshVirtualViews), [] as [u32; 0]);
-    }
 }
 
 #[test]

@@ -88,6 +88,7 @@ pub(crate) const MASKS: &[Choice<MaskUse>] = &[
         &["transparent"],
         "What masks hide and what is transparent must be background: an object cut out of its photos",
     ),
+    (MaskUse::Off, &["off"], "Masks are not looked for; what is transparent is background"),
 ];
 
 /// `--split` of `evaluate`.

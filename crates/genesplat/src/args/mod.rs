@@ -28,7 +28,7 @@ pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
-pub(crate) use train::{OldArgs, SCENE, SearchArgs, TrainArgs};
+pub(crate) use train::{OldArgs, SCENE, STEPS, SearchArgs, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
                            SIGTERM with what there was saved";
@@ -242,10 +242,15 @@ pub(crate) struct RefineArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Gradient steps, one photo each [default: 2000]; none with --genetic, which only searches
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", aliases = STEPS, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) iterations: Option<u32>,
     #[command(flatten)]
     pub(crate) search: SearchArgs,
+    /// Refine although there is no hope of a good splat: it shows less of the photos than one colour each
+    /// would, as one of another scene does; fewer than 10 photos, cameras for less than half of them, masks
+    /// that fit no photo
+    #[arg(long, help_heading = MORE)]
+    pub(crate) anyway: bool,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes, with one build on
     /// CPUs of one kind
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]

@@ -20,12 +20,12 @@ pub(crate) struct PhotosArgs {
     pub(crate) images: Option<PathBuf>,
     #[command(flatten)]
     hold_out: HoldOutArgs,
-    /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and
-    /// transparency mean [default: usual]
+    /// What masks (masks/NAME.jpg.png, masks/NAME.png and the like beside the photos, black where they hide)
+    /// and transparency mean [default: usual]
     #[arg(long, value_name = "USE", value_parser = choice(MASKS), help_heading = MORE)]
     mask: Option<MaskUse>,
     /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way
-    /// from the middle of the cameras to the farthest of them, if that is less]
+    /// from the middle of the cameras to the farthest of them, if that is less or the scene has no points]
     #[arg(long, value_name = "DEPTH", value_parser = above_zero, help_heading = MORE)]
     near: Option<f64>,
 }

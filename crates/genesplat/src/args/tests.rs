@@ -87,3 +87,28 @@ fn whatever_shows_a_splat_takes_masks_and_a_near_plane() {
         assert_eq!((splat, asked.mask, asked.near), ("a.ply".into(), Some(MaskUse::Usual), Some(0.5)));
     }
 }
+
+#[test]
+fn flags_of_other_trainers_are_understood() {
+    let train = |words: &str| match Arguments::try_parse_from(words.split(' ')).map(|parsed| parsed.command) {
+        Ok(Command::Train(args)) => Ok(args),
+        Ok(_) => unreachable!("it is train"),
+        Err(error) => Err(error),
+    };
+    for words in ["--data a --output b --max-steps 9 --gpu", "a --out b --steps 9 --device gpu"] {
+        let args = train(&format!("genesplat train {words}")).unwrap();
+        let mut config = genesplat::train::TrainConfig::default();
+        args.override_config(&mut config).unwrap();
+        assert_eq!(
+            (args.dataset(), &*args.out, config.iterations),
+            ("a".as_ref(), "b".as_ref(), 9),
+            "{words}"
+        );
+        assert_eq!(args.machine.device(), Some(genesplat::run::device::DeviceChoice::Gpu), "{words}");
+    }
+    for wrong in ["--out b", "a --data a --out b", "a --out b --gpu --device cpu"] {
+        assert!(train(&format!("genesplat train {wrong}")).is_err(), "{wrong}");
+    }
+    let help = Arguments::command().find_subcommand_mut("train").unwrap().render_long_help().to_string();
+    assert!(!help.contains("--data ") && !help.contains("--max-steps") && !help.contains("--gpu"), "{help}");
+}

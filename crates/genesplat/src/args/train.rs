@@ -1,7 +1,7 @@
-//! `genesplat train`: how long, by which method, with which evolution; and how these flags win over a
-//! configuration.
+//! `genesplat train`: how long, by which method, with the genetic search or without; and how these flags
+//! win over a configuration.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use clap::Args;
@@ -20,7 +20,11 @@ pub(crate) struct TrainArgs {
     /// photos in images; or a transforms.json of nerfstudio or instant-ngp, or Blender's
     /// transforms_train.json and transforms_test.json, and the photos that they name. A zip of one is
     /// unpacked into DIR/scene
-    pub(crate) dataset: PathBuf,
+    #[arg(required_unless_present = "data")]
+    dataset: Option<PathBuf>,
+    /// What other trainers call it.
+    #[arg(long, hide = true, conflicts_with = "dataset")]
+    data: Option<PathBuf>,
     /// The dataset is a folder or a zip of photos without cameras, or a video: find the cameras first, as
     /// `genesplat poses` does, and keep that scene in DIR/scene
     #[arg(long)]
@@ -28,7 +32,7 @@ pub(crate) struct TrainArgs {
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, report.html,
     /// metrics.json, config.toml, log.jsonl and test/*.png. Results of an earlier run there are never written
     /// over
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", alias = "output")]
     pub(crate) out: PathBuf,
     /// Named settings; flags given here win over them
     #[arg(long, value_name = "PRESET", value_parser = choice(PRESETS), conflicts_with = "config")]
@@ -58,6 +62,10 @@ pub(crate) struct TrainArgs {
     pub(crate) accept_changes: bool,
     #[command(flatten)]
     pub(crate) page: TrainPageArgs,
+    /// Train although there is no hope of a good splat: fewer than 10 photos, cameras for less than half of
+    /// them, masks that fit no photo
+    #[arg(long, help_heading = MORE)]
+    pub(crate) anyway: bool,
     /// Also write the curves of the run to DIR/tensorboard, for `tensorboard --logdir DIR` and its like
     #[arg(long)]
     pub(crate) tensorboard: bool,
@@ -75,9 +83,16 @@ pub(crate) struct TrainArgs {
 pub(crate) const SCENE: &str = "scene";
 
 impl TrainArgs {
+    /// What was given as the scene.
+    pub(crate) fn dataset(&self) -> &Path {
+        let given = self.dataset.as_deref().or(self.data.as_deref());
+        given.expect("clap has asked for one of them")
+    }
+
     /// The folder of the scene, which `--poses` makes, and into which an archive is unpacked.
     pub(crate) fn scene(&self) -> PathBuf {
-        if self.poses || is_zip(&self.dataset) { self.out.join(SCENE) } else { self.dataset.clone() }
+        let given = self.dataset();
+        if self.poses || is_zip(given) { self.out.join(SCENE) } else { given.to_owned() }
     }
 
     /// What is asked for; `over` is [`Self::override_config`].
@@ -112,6 +127,9 @@ impl TrainArgs {
     }
 }
 
+/// What other trainers call `--iterations`.
+pub(crate) const STEPS: [&str; 3] = ["steps", "max-steps", "max-num-iterations"];
+
 /// How long, and what kind of training.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct ScheduleArgs {
@@ -121,7 +139,7 @@ pub(crate) struct ScheduleArgs {
     /// Training steps, one photo each [default: 30000]. More is slower and mostly better; with a few dozen
     /// photos 7000 may be as good. The schedule of genesplat fits into them; those of published methods are
     /// cut short
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", aliases = STEPS, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
     /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square
     /// root; makes sense where many processes share a run, and steps are fewer
@@ -135,8 +153,8 @@ pub(crate) struct ScheduleArgs {
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
     /// Train at most this many Gaussians, from the first step on [default: with genesplat the cloud grows to
-    /// as many as the photos can determine, and starting points are kept; else no limit, but 1000000 with
-    /// mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds memory (2 to 4 KB a
+    /// as many as the photos can determine, and a denser cloud of points is thinned; else no limit, but 1000000
+    /// with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds memory (2 to 4 KB a
     /// Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,

@@ -1,6 +1,7 @@
 //! The folder of the blocks: how the scene was cut, the scenes of the blocks, and their runs.
 
 use std::collections::HashSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -8,6 +9,7 @@ use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::names::is_file_name;
 use genesplat::io::{command_line, input, shown};
 use genesplat::run::files::write_own_json;
+use genesplat::run::scene::PHOTOS_MIN;
 use serde::{Deserialize, Serialize};
 
 const BLOCKS: &str = "blocks.json";
@@ -63,16 +65,21 @@ pub(super) fn run_of(block: &Block, folder: &Path) -> PathBuf {
 /// The command that trains a block, whose scene is there.
 pub(super) fn command(block: &Block, folder: &Path) -> String {
     let (scene, run) = (scene_of(block, folder), shown(run_of(block, folder)));
+    let anyway: &[&str] = if has_few_photos(&scene) { &["--anyway"] } else { &[] };
     let list = scene.join(TEST_LIST);
     let (scene, path) = (shown(&scene), shown(&list));
     let held_out: &[&str] = if list.exists() { &["--test-list", &path] } else { &["--train-on-all"] };
-    command_line([&["genesplat", "train", &scene], held_out, &["--out", &run]].concat())
+    command_line([&["genesplat", "train", &scene], held_out, anyway, &["--out", &run]].concat())
+}
+
+/// A block may have fewer photos than a scene should have.
+fn has_few_photos(scene: &Path) -> bool {
+    let photos = fs::read_dir(scene.join("images")).map_or(PHOTOS_MIN, Iterator::count);
+    photos < PHOTOS_MIN
 }
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use genesplat::core::Camera;
     use glam::DVec3;
 

@@ -59,7 +59,7 @@ fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
     let filter = match filter {
         ScreenFilter::Classic => "antialiasing off",
         ScreenFilter::Antialiased => "antialiasing on",
-        ScreenFilter::Mip => "variant mip-splatting",
+        ScreenFilter::Mip => "method mip-splatting",
     };
     let filter_3d = if has_filter_3d { "a 3D filter" } else { "no 3D filter" };
     [
@@ -137,7 +137,7 @@ mod tests {
             ),
             (
                 with(RenderSettings { filter: ScreenFilter::Mip, ..usual.1 }),
-                ["antialiasing off", "variant mip-splatting"],
+                ["antialiasing off", "method mip-splatting"],
             ),
             (with(RenderSettings { sh_degree: 1, ..usual.1 }), ["sh_degree 3", "sh_degree 1"]),
             ((filtered, usual.1), ["no 3D filter", "a 3D filter"]),

@@ -11,6 +11,7 @@ use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{plural, shown};
 use genesplat::run::CLOUD;
 use genesplat::run::numbers::thousands;
+use genesplat::run::output::WriteBar;
 use genesplat::run::photos::check_test_photos;
 use genesplat::run::score::{Scores, evaluate_all};
 use genesplat::run::splat::Splat;
@@ -49,14 +50,14 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
         spz_version: args.spz_version.unwrap_or_default(),
     };
-    format::write(&args.out, format, &cloud, &options)?;
+    format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
     let Some(scene) = scene else { return Ok(()) };
 
     let background = splat.settings.background;
-    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let mut score = |when: &str, mut splat: Splat| {
         splat.settings.background = background;
         backend.upload(splat.cloud.into())?;

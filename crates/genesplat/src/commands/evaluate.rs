@@ -48,7 +48,7 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
         "{} is not a PLY or another splat but a picture; give a second one after it, to measure how alike they are",
         shown(path)
     );
-    let lpips = lpips::open(&args.lpips.asked())?;
+    let lpips = lpips::open_or_notify(&args.lpips.asked())?;
     let splat = splat::open(path)?.on(args.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
     let asked = args.photos.asked()?;
@@ -66,7 +66,8 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     if args.split == Split::Test {
         photos::check_test_photos(path, &scene)?;
     }
-    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    device::notice_no_card(args.machine.device().unwrap_or_default());
+    let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud.into())?;
     let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), exposure.as_ref())?;

@@ -8,7 +8,7 @@ use genesplat::core::{Camera, RenderSettings, Renderer, View};
 use genesplat::io::format::{self, Options, SpzVersion};
 use genesplat::io::{Format, Scene, ending, plural, shown};
 use genesplat::run::numbers::thousands;
-use genesplat::run::output::Bar;
+use genesplat::run::output::{Bar, WriteBar};
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
 use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
@@ -33,13 +33,13 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
         sh_degree: settings.sh_degree,
         spz_version: SpzVersion::V3,
     };
-    let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options)?;
+    let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options, &WriteBar::default())?;
     let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
     let framing = framing.unwrap_or_else(|| Framing::of_cloud(&splat.cloud));
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
     let shots = match &scene {
         Some(scene) => {
-            let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
+            let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
             backend.upload(splat.cloud.into())?;
             shoot(scene, backend.as_mut(), &settings)?
         }

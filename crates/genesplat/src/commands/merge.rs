@@ -4,6 +4,7 @@ use anyhow::Result;
 use genesplat::io::format::{self, Options};
 use genesplat::io::shown;
 use genesplat::run::numbers::thousands;
+use genesplat::run::output::WriteBar;
 use genesplat::run::{files, splat};
 use genesplat::terminal::output;
 
@@ -15,7 +16,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let format = files::format_of(&args.out)?;
     let (cloud, settings) = merge(&args.blocks)?;
     let options = Options { screen_filter: settings.filter, ..Options::default() };
-    format::write(&args.out, format, &cloud, &options)?;
+    format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
     splat::tell_losses(format, &cloud, settings.filter);
     output::print(&format!("{} Gaussians written to {}", thousands(cloud.len()), shown(&args.out)))
 }

@@ -1,19 +1,23 @@
 //! `genesplat refine`: makes a splat of any trainer better, by gradient steps whose last states are averaged,
 //! or by the genetic search alone.
 
+use std::path::Path;
+
 use anyhow::{Result, bail, ensure};
-use genesplat::core::{RenderSettings, ScreenFilter};
+use genesplat::core::{RenderSettings, ScreenFilter, View};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
+use genesplat::metrics::{Evaluation, psnr_of_mean};
 use genesplat::run::device::Device;
 use genesplat::run::exposure::Exposure;
 use genesplat::run::numbers::thousands;
+use genesplat::run::output::WriteBar;
 use genesplat::run::photos;
 use genesplat::run::reporter::Reporter;
 use genesplat::run::score::{Scores, evaluate_all};
 use genesplat::run::settings::{ConfigFile, check_hidden};
 use genesplat::run::splat::Splat;
-use genesplat::run::{device, files, splat};
+use genesplat::run::{device, files, scene, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 use genesplat::train::{
@@ -24,6 +28,8 @@ use toml::Table;
 use crate::args::RefineArgs;
 
 const ITERATIONS: u32 = 2000;
+/// Photos that a splat is compared with before it is refined, at most.
+const VIEWS_COMPARED: usize = 16;
 
 /// Refines, and writes what came of it; Ctrl-C ends it early.
 pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
@@ -34,13 +40,19 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     check(args, schedule.config())?;
     splat.settings = schedule.render_settings();
     let asked = args.photos.asked()?;
-    let scene = splat.load_scene(&data, &asked)?;
+    let scene = splat.load_scene_to_train(&data, &asked)?;
     let exposure = splat.exposure(&scene, &asked);
+    // What a run was begun with is no news.
+    let is_own = splat.began_with(&scene);
+    scene::check_promising(&scene, args.anyway || is_own)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag();
-    let mut device = device::open(args.machine.device.unwrap_or_default())?;
+    let mut device = device::open(args.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
-    print_scores("before", &mut device, (&scene, exposure.as_ref()), &splat.settings)?;
+    let before = print_scores("before", &mut device, (&scene, exposure.as_ref()), &splat.settings)?;
+    if !args.anyway && !is_own {
+        check_shows(&before, &scene, &args.splat)?;
+    }
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
     let outcome: Outcome = if schedule.config().genetic.is_some() {
         search(device.as_mut(), views, splat.cloud, &schedule, &mut reporter, &stop)?
@@ -49,7 +61,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     };
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
     let format = files::format_of(&args.out)?;
-    format::write(&args.out, format, &outcome.cloud, &options)?;
+    format::write_told(&args.out, format, &outcome.cloud, &options, &WriteBar::default())?;
     splat::tell_losses(format, &outcome.cloud, splat.settings.filter);
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;
@@ -112,18 +124,40 @@ fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
     MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }
 }
 
-/// Training photos are at the mean exposure already, where a run has brought them to it.
+/// Fails where a splat shows most photos worse than the mean colour of each would: it is one of another scene,
+/// or in another frame. `scores` are those of all training photos.
+fn check_shows(scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
+    let every = scene.train.len().div_ceil(VIEWS_COMPARED).max(1);
+    let mut is_missed = Vec::new();
+    for (view, score) in scene.train.iter().zip(&scores.views).step_by(every) {
+        is_missed.push(score.psnr < psnr_of_mean(view.mask.as_deref(), view.photo.read()?.as_ref())?);
+    }
+    let (misses, all) = (is_missed.iter().filter(|missed| **missed).count(), is_missed.len());
+    ensure!(
+        2 * misses < all,
+        "{} shows {misses} of {all} photos of {} worse than one colour for each photo would, so it is a splat of another scene or in \
+         other axes; give the --data that it was trained on, or go on with --anyway",
+        shown(path),
+        shown(&scene.name)
+    );
+    Ok(())
+}
+
+/// Returns the scores of the training photos, which are at the mean exposure already where a run has brought
+/// them to it.
 fn print_scores(
     when: &str,
     device: &mut Device,
     (scene, exposure): (&Scene, Option<&Exposure>),
     settings: &RenderSettings,
-) -> Result<()> {
-    for (name, views, exposure) in [("test", &scene.test, exposure), ("train", &scene.train, None)] {
+) -> Result<Evaluation> {
+    let mut print = |name, views: &[View], exposure: Option<&Exposure>| -> Result<Evaluation> {
         let Scores { scores, as_rendered } = evaluate_all(device, views, settings, None, exposure)?;
         for line in output::scores_lines(name, &scores, as_rendered.as_ref()) {
             output::print(&format!("{when:<6} {line}"))?;
         }
-    }
-    Ok(())
+        Ok(scores)
+    };
+    print("test", &scene.test, exposure)?;
+    print("train", &scene.train, None)
 }

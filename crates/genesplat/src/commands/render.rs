@@ -74,7 +74,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         }
     };
     jobs.iter().try_for_each(|(_, place)| place.check())?;
-    let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     let mut done = 0;

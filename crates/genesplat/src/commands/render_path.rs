@@ -55,7 +55,7 @@ fn render(
     sink: &mut Sink,
     stop: &AtomicBool,
 ) -> Result<bool> {
-    let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", cameras.len() as u64);
     for (done, camera) in (1..).zip(cameras) {

@@ -93,7 +93,7 @@ struct Loaded {
 
 /// One process claims the folder. `None` where it was stopped before it loaded anything.
 fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Option<Loaded>> {
-    overwrite::check_apart(&args.dataset, &args.out)?;
+    overwrite::check_apart(args.dataset(), &args.out)?;
     let session = match cluster {
         Some(cluster) if !cluster.is_root() => RunSession::follow(&args.out, args.resume),
         _ => RunSession::claim(&args.out, Caller::Train, args.resume)?,
@@ -111,12 +111,14 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         return Ok(None);
     }
     let Some(_preparing) = preparing::begin_unless(stop) else { return Ok(None) };
-    if !args.poses && archive::is_zip(&args.dataset) {
-        unpacked::unpack(&args.dataset, &args.scene())?;
+    if !args.poses && archive::is_zip(args.dataset()) {
+        unpacked::unpack(args.dataset(), &args.scene())?;
     }
     let background = config.train.background.fixed_colour();
     let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
     let mut scene = scene::load(&config.dataset, background, config.train.seed, Some(spill.clone()))?;
+    // A run that goes on was begun all the same.
+    scene::check_promising(&scene, args.anyway || args.resume)?;
     let exposure = match args.resume {
         // That of the steps that were made.
         true => Inputs::of_checkpoint(&args.out)?.exposure,
@@ -135,13 +137,13 @@ fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
         "one process finds cameras: run genesplat poses first, and train on its scene under mpirun"
     );
     ensure!(
-        !archive::is_zip(&args.dataset),
+        !archive::is_zip(args.dataset()),
         "one process unpacks archives: unpack {} first, and train on its folder under mpirun",
-        shown(&args.dataset)
+        shown(args.dataset())
     );
     ensure!(args.page.address().is_none(), "a run under mpirun has no live page; leave --view out");
     ensure!(
-        args.machine.device != Some(DeviceChoice::Gpu),
+        args.machine.device() != Some(DeviceChoice::Gpu),
         "ranks of mpirun train on processors; leave --device gpu out"
     );
     ensure!(
@@ -163,7 +165,7 @@ fn ending(ended: &Ended) -> Ending {
 
 /// Makes the scene of photos without cameras; false where it was stopped.
 fn find_cameras(args: &TrainArgs, threads: Option<u16>, stop: &AtomicBool) -> Result<bool> {
-    let request = Request { photos: &args.dataset, out: &args.scene(), frames: None, threads };
+    let request = Request { photos: args.dataset(), out: &args.scene(), frames: None, threads };
     let found = poses::find(&request, stop)?;
     let Some(summary) = found else { return Ok(false) };
     summary.sentences().iter().for_each(|sentence| output::tell(sentence));

@@ -19,7 +19,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let stop = interrupt::stop_flag_saying("the page is closed");
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
-    let mut device = device::open(args.splat.machine.device.unwrap_or_default())?;
+    let mut device = device::open(args.splat.machine.device().unwrap_or_default())?;
     let path = files::resolved(&args.splat.path);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(args.page.address(), &name, &splat.cloud, scene.as_ref())?;

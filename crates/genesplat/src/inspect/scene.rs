@@ -27,9 +27,15 @@ pub(crate) fn inspect_scene(dataset: &Dataset, config: &TrainConfig) -> Result<R
     let no_extent =
         scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
     let notices = scene.notices.clone();
-    let warnings =
-        [Vec::from_iter(no_extent), notices, cameras::warnings(&views, &seen), photos::warnings(&views)?]
-            .concat();
+    let doubts = scene::doubts(&scene).iter().map(ToString::to_string).collect();
+    let warnings = [
+        Vec::from_iter(no_extent),
+        doubts,
+        notices,
+        cameras::warnings(&views, &seen),
+        photos::warnings(&views)?,
+    ]
+    .concat();
     facts.extend(expected(&estimate(&scene, &settings)?, settings.iterations));
     facts.push(timeline(&settings, scene.train.len()));
     Ok(Report { kind: "scene", facts, warnings })

@@ -1,21 +1,18 @@
 """Runs one stage of structure from motion with pycolmap. The only argument is a JSON object that says which.
 
-Standard output gets a JSON object a line: {"done": 3, "total": 50} while a stage is under way. It ends when standard input
-does, since then whoever has started it is gone.
+Standard output gets a JSON object a line: {"what": "matches", "done": 3, "total": 50} while a stage is under way. It ends when
+standard input does, since then whoever has started it is gone. Before this part come those with `pairs`, `matching` and `cameras`.
 """
 
+import contextlib
 import json
 import os
 import sys
 import threading
-import time
 
 import pycolmap
 
 job = json.loads(sys.argv[1])
-
-# COLMAP tries points at random. With one seed, two searches differ only by the order in which threads get done with photos.
-SEED = 0
 
 
 def say(**words):
@@ -27,30 +24,45 @@ def end_with_parent():
     os._exit(1)
 
 
-def tell_progress(count, total):
+@contextlib.contextmanager
+def progress(what, count, total):
     """Tells, twice a second, what the database counts by now.
 
     COLMAP's own copy of SQLite reads it: of two copies in one process, each breaks the locks of the other, and COLMAP aborts.
     """
-    database = pycolmap.Database.open(job["database"])
+    ended = threading.Event()
 
     def tell():
-        while True:
-            time.sleep(0.5)
-            try:
-                say(done=min(getattr(database, count)(), total), total=total)
-            except RuntimeError:
-                pass
+        with pycolmap.Database.open(job["database"]) as database:
+            while not ended.wait(0.5):
+                try:
+                    say(what=what, done=min(getattr(database, count)(), total), total=total)
+                except RuntimeError:
+                    pass
 
-    in_background(tell)
+    say(what=what, done=0, total=total)
+    teller = in_background(tell)
+    try:
+        yield
+    finally:
+        ended.set()
+        teller.join()
 
 
 def in_background(function):
-    threading.Thread(target=function, daemon=True).start()
+    thread = threading.Thread(target=function, daemon=True)
+    thread.start()
+    return thread
 
 
 def extract_features():
-    tell_progress("num_images", job["photos"])
+    with progress("features", "num_images", job["photos"]):
+        for names in job["sizes"] or [[]]:
+            extract_features_of(names)
+
+
+def extract_features_of(names):
+    """Of the photos with these names; where there are none, of all. Photos of one camera have one size."""
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads = job["threads"]
     options.max_image_size = job["max_side"]
@@ -59,9 +71,12 @@ def extract_features():
     reader.camera_model = job["camera_model"]
     if job["masks"]:
         reader.mask_path = job["masks"]
+    if job["single_camera"]:
+        reader.existing_camera_id = camera_of(job["database"], names)
     pycolmap.extract_features(
         job["database"],
         job["images"],
+        image_names=names,
         camera_mode=pycolmap.CameraMode.SINGLE if job["single_camera"] else pycolmap.CameraMode.AUTO,
         reader_options=reader,
         extraction_options=options,
@@ -69,21 +84,20 @@ def extract_features():
     )
 
 
+def camera_of(path, names):
+    """The camera of these photos, or of all, where a search that was stopped has got to some of them; -1 where it has not."""
+    with pycolmap.Database.open(path) as database:
+        images = database.read_all_images()
+    return next((image.camera_id for image in images if not names or image.name in names), -1)
+
+
 def match_features():
-    tell_progress("num_verified_image_pairs", job["pairs"])
-    options = pycolmap.FeatureMatchingOptions()
-    options.num_threads = job["threads"]
-    geometry = pycolmap.TwoViewGeometryOptions()
-    geometry.ransac.random_seed = SEED
-    how = {"matching_options": options, "verification_options": geometry, "device": pycolmap.Device.cpu}
-    if job["neighbours"] is None:
-        pycolmap.match_exhaustive(job["database"], **how)
-        return
-    pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap = job["neighbours"]
-    pairing.quadratic_overlap = True
-    pairing.loop_detection = False
-    pycolmap.match_sequential(job["database"], pairing_options=pairing, **how)
+    unquote_names(job["database"])
+    bound_features(job["database"], job["max_features"])
+    pairs, chosen_by = chosen_pairs(Photos(job["database"]), job["pairing"])
+    with progress("matches", "num_matched_image_pairs", len(pairs)):
+        match_pairs(job["database"], pairs, job["threads"])
+    say(chosen_by=chosen_by)
 
 
 def find_cameras():
@@ -92,56 +106,55 @@ def find_cameras():
 
     def tell():
         registered[0] = min(registered[0] + 1, job["photos"])
-        say(done=registered[0], total=job["photos"])
+        say(what="cameras", done=registered[0], total=job["photos"])
 
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = job["threads"]
-    options.random_seed = SEED
-    options.max_extra_param = job["max_distortion"]
-    pycolmap.incremental_mapping(
-        job["database"], job["images"], job["models"], options=options, next_image_callback=tell
-    )
-    folders = {name: os.path.join(job["models"], name) for name in os.listdir(job["models"])}
-    models = {name: pycolmap.Reconstruction(folder) for name, folder in folders.items()}
+    unquote_names(job["database"])
+    map_photos(job, job["models"], tell)
+    models = read_models(job["models"])
+    if models:
+        largest = largest_of(models)
+        registered[0] = models[largest].num_reg_images()
+        retry_left_out(models[largest], os.path.join(job["models"], largest), tell)
+    finish_models()
+
+
+def retry_left_out(model, folder, tell):
+    """Compares the photos that have no camera with those that do, and goes on from there."""
+    photos = Photos(job["database"])
+    left_out, matched = photos.without(model), photos.matched_pairs()
+    pairs = pairs_of_left_out(photos, left_out) - matched
+    if not pairs:
+        return
+    say(retried=len(left_out), pairs=len(pairs))
+    with progress("matches", "num_matched_image_pairs", len(matched) + len(pairs)):
+        match_pairs(job["database"], pairs, job["threads"])
+    map_photos(job, folder, tell, start=folder)
+
+
+def finish_models():
+    models = read_models(job["models"])
     if job["single_camera"] and models:
-        largest = max(models, key=lambda name: models[name].num_reg_images())
-        models[largest] = with_lens(models[largest], folders[largest], options)
+        largest = largest_of(models)
+        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), mapping_options(job))
     for name, model in models.items():
         turn_upright(model)
-        model.write(folders[name])
+        model.write(os.path.join(job["models"], name))
     say(errors_px={name: model.compute_mean_reprojection_error() for name, model in models.items()})
+    if models:
+        say(compared=what_was_compared(models[largest_of(models)]))
 
 
-def with_lens(model, folder, options):
-    """The model with a second coefficient of distortion, where that explains the points better.
-
-    Lenses of phones need it. What stands on a turntable far away does not tell it, and while cameras are still being found
-    it would be made up, and the focal length with it.
-    """
-    finer = pycolmap.Reconstruction(folder)
-    for camera in finer.cameras.values():
-        focal_px, x, y, distortion = camera.params
-        camera.model = pycolmap.CameraModelId.RADIAL
-        camera.params = [focal_px, x, y, distortion, 0]
-    pycolmap.bundle_adjustment(finer, options.get_global_bundle_adjustment())
-    finer.update_point_3d_errors()
-    if finer.compute_mean_reprojection_error() > 0.99 * model.compute_mean_reprojection_error():
-        return model
-    return finer
-
-
-def turn_upright(model):
-    """Turns the world so that -y is up, on average of the cameras, as viewers have it."""
-    ups = [-image.cam_from_world().rotation.matrix()[1] for image in model.images.values() if image.has_pose]
-    x, y, z = (float(part) for part in sum(ups) / max(len(ups), 1))
-    length = (x * x + y * y + z * z) ** 0.5
-    # Photos that look down have no common up.
-    if length < 0.5:
-        return
-    turn = [z, 0, -x, length - y] if length - y > 1e-6 else [1, 0, 0, 0]
-    size = sum(part * part for part in turn) ** 0.5
-    rotation = pycolmap.Rotation3d([part / size for part in turn])
-    model.transform(pycolmap.Sim3d(1, rotation, [0, 0, 0]))
+def what_was_compared(model):
+    """How many pairs, of how many, and whether all of a photo without a camera and one with."""
+    photos = Photos(job["database"])
+    matched, left_out = photos.matched_pairs(), photos.without(model)
+    count = len(photos.ids)
+    across = sum((i in left_out) != (j in left_out) for i, j in matched)
+    return {
+        "pairs": len(matched),
+        "of": count * (count - 1) // 2,
+        "left_out_with_all": across == len(left_out) * (count - len(left_out)),
+    }
 
 
 in_background(end_with_parent)

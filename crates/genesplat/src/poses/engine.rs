@@ -7,27 +7,59 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::io::shown;
+use genesplat::run::numbers::thousands;
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::process;
-use super::stages::{Job, Stage};
+use super::stages::{Job, Pairing, Stage};
+use super::summary::{Compared, pairs_of};
 use crate::programs::Programs;
 
 /// Names the Python to use.
 const PYTHON: &str = "GENESPLAT_PYTHON";
-const DRIVER: &str = include_str!("driver.py");
+/// One script, of parts that each know those before it.
+const DRIVER: &str = concat!(
+    include_str!("pairs.py"),
+    include_str!("matching.py"),
+    include_str!("cameras.py"),
+    include_str!("driver.py")
+);
+/// How numpy is told of threads.
+const NUMPY_THREADS: &str = "OPENBLAS_NUM_THREADS";
 /// Features are looked for at this size, px: larger photos are reduced, which costs hardly a camera and saves
 /// minutes.
 const MAX_SIDE: u32 = 1600;
-/// Most features of a photo.
+/// Most features of a photo, the largest of those that are found.
 const MAX_FEATURES: u32 = 8192;
 /// Square pixels and one coefficient of distortion. With a focal length for each direction (`OPENCV`), which
 /// photos of an object on a turntable do not tell, a shoe was found at a quarter of its height.
 const CAMERA_MODEL: &str = "SIMPLE_RADIAL";
 
+/// Frames of a film before and after one that the program `colmap` compares with it.
+const NEIGHBOURS: &str = "10";
+
 pub(crate) struct Engine {
     tool: Tool,
     programs: Programs,
+}
+
+/// What a line of an engine says; most lines say nothing of this.
+#[derive(Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub(crate) struct Said {
+    /// What is counted: features, matches or cameras.
+    pub(crate) what: Option<String>,
+    pub(crate) done: Option<usize>,
+    pub(crate) total: Option<usize>,
+    /// Photos without a camera that are tried again, by so many `pairs`.
+    pub(crate) retried: Option<usize>,
+    pub(crate) pairs: usize,
+    /// What chose the pairs that are matched.
+    pub(crate) chosen_by: Option<Vec<String>>,
+    pub(crate) compared: Option<Compared>,
+    /// Mean reprojection errors of models, px.
+    pub(crate) errors_px: BTreeMap<String, f64>,
 }
 
 enum Tool {
@@ -65,6 +97,9 @@ impl Engine {
             Tool::Pycolmap { python, .. } => {
                 let mut command = self.programs.python(python, DRIVER);
                 command.arg(request(stage, job).to_string());
+                if let Some(threads) = job.threads {
+                    command.env(NUMPY_THREADS, threads.to_string());
+                }
                 command
             }
             Tool::Colmap { program, has_feature_options } => {
@@ -73,15 +108,32 @@ impl Engine {
         }
     }
 
-    /// How many pieces of a stage are done, if `line` says so.
-    pub(crate) fn progress(&self, stage: Stage, line: &str) -> Option<usize> {
-        self.tool.progress(stage, line)
+    pub(crate) fn hear(&self, stage: Stage, line: &str) -> Said {
+        match &self.tool {
+            Tool::Pycolmap { .. } => serde_json::from_str(line).unwrap_or_default(),
+            Tool::Colmap { .. } => Said { done: colmap_progress(stage, line), ..Said::default() },
+        }
     }
 
-    /// Mean reprojection errors of models, px, if `line` says them.
-    pub(crate) fn reprojection_errors(&self, line: &str) -> BTreeMap<String, f64> {
-        let said = message(line).and_then(|said| serde_json::from_value(said.get("errors_px")?.clone()).ok());
-        said.unwrap_or_default()
+    /// Which pairs the program `colmap` compares, where that is certain; pycolmap counts them.
+    pub(crate) fn compared(&self, job: &Job) -> Option<Compared> {
+        let is_certain = matches!(self.tool, Tool::Colmap { .. }) && job.pairing != Pairing::Sequence;
+        is_certain.then(|| Compared::all_of(job.photos))
+    }
+
+    /// What pycolmap does better, where it counts.
+    pub(crate) fn notice(&self, job: &Job) -> Option<String> {
+        let Tool::Colmap { .. } = self.tool else { return None };
+        let what = match job.pairing {
+            Pairing::All => return None,
+            Pairing::Sequence => "frames with their neighbours alone".to_owned(),
+            Pairing::Looks => {
+                format!("all {} pairs of photos, which is slow", thousands(pairs_of(job.photos)))
+            }
+        };
+        Some(format!(
+            "notice: the program colmap compares {what}; pycolmap compares those that look alike (`pip install pycolmap`)"
+        ))
     }
 
     /// Asks the program `colmap` for the errors that pycolmap has said already.
@@ -156,23 +208,12 @@ impl Tool {
         let version = Some(said.trim().to_owned()).filter(|version| !version.is_empty())?;
         Some(Self::Pycolmap { python, version })
     }
-
-    fn progress(&self, stage: Stage, line: &str) -> Option<usize> {
-        match self {
-            Self::Pycolmap { .. } => usize::try_from(message(line)?.get("done")?.as_u64()?).ok(),
-            Self::Colmap { .. } => colmap_progress(stage, line),
-        }
-    }
 }
 
 /// What a program writes to stdout, if it succeeds.
 fn output_of(command: &mut Command) -> Option<String> {
     let ran = command.output().ok()?;
     ran.status.success().then(|| String::from_utf8_lossy(&ran.stdout).into_owned())
-}
-
-fn message(line: &str) -> Option<Value> {
-    serde_json::from_str(line).ok()
 }
 
 /// What the driver is told.
@@ -185,11 +226,11 @@ fn request(stage: Stage, job: &Job) -> Value {
         "database": text(&job.database),
         "models": text(&job.models),
         "photos": job.photos,
-        "pairs": job.pairs(),
+        "sizes": job.sizes,
         "single_camera": job.single_camera,
         "camera_model": CAMERA_MODEL,
         "max_distortion": max_distortion(job),
-        "neighbours": job.neighbours,
+        "pairing": job.pairing,
         "threads": job.threads.map_or(-1, i32::from),
         "max_side": MAX_SIDE,
         "max_features": MAX_FEATURES,
@@ -210,31 +251,33 @@ fn colmap_command(mut colmap: Command, has_feature_options: bool, stage: Stage, 
         false => ["SiftExtraction", "SiftMatching"],
     };
     let threads = job.threads.map_or(-1, i32::from).to_string();
-    let sequence = job.neighbours.map(|neighbours| neighbours.to_string());
-    match (stage, &sequence) {
-        (Stage::Features, _) => {
+    match stage {
+        Stage::Features => {
             colmap.arg("feature_extractor").arg("--image_path").arg(&job.images);
             colmap.arg("--database_path").arg(&job.database);
             if let Some(masks) = &job.masks {
                 colmap.arg("--ImageReader.mask_path").arg(masks);
             }
-            let single = i32::from(job.single_camera).to_string();
+            let single = i32::from(job.single_camera && job.sizes.is_empty()).to_string();
             colmap.args(["--ImageReader.single_camera", &single, "--ImageReader.camera_model", CAMERA_MODEL]);
             colmap.args([format!("--{extraction}.use_gpu"), "0".into()]);
             colmap.args([format!("--{extraction}.num_threads"), threads]);
             colmap.args([format!("--{extraction}.max_image_size"), MAX_SIDE.to_string()]);
             colmap.args(["--SiftExtraction.max_num_features", &MAX_FEATURES.to_string()]);
         }
-        (Stage::Matches, sequence) => {
-            colmap.arg(if sequence.is_some() { "sequential_matcher" } else { "exhaustive_matcher" });
+        Stage::Matches => {
+            let is_sequence = job.pairing == Pairing::Sequence;
+            colmap.arg(if is_sequence { "sequential_matcher" } else { "exhaustive_matcher" });
             colmap.arg("--database_path").arg(&job.database);
             colmap.args([format!("--{matching}.use_gpu"), "0".into()]);
             colmap.args([format!("--{matching}.num_threads"), threads]);
-            if let Some(neighbours) = sequence {
-                colmap.args(["--SequentialMatching.overlap", neighbours]);
+            if is_sequence {
+                // Since version 4, neighbours at distances of powers of two would take the place of the others.
+                colmap.args(["--SequentialMatching.overlap", NEIGHBOURS]);
+                colmap.args(["--SequentialMatching.quadratic_overlap", "0"]);
             }
         }
-        (Stage::Cameras, _) => {
+        Stage::Cameras => {
             colmap.arg("mapper").arg("--database_path").arg(&job.database);
             colmap.arg("--image_path").arg(&job.images).arg("--output_path").arg(&job.models);
             colmap.args(["--Mapper.num_threads", &threads]);
@@ -271,7 +314,8 @@ mod tests {
             masks: Some("masks".into()),
             photos: 9,
             single_camera: true,
-            neighbours: Some(10),
+            sizes: Vec::new(),
+            pairing: Pairing::Sequence,
             threads: Some(2),
             database,
             models,
@@ -297,24 +341,41 @@ mod tests {
         );
         assert!(of(Stage::Features, true).contains("--FeatureExtraction.max_image_size 1600"));
         assert!(of(Stage::Matches, true).starts_with("sequential_matcher --database_path database.db"));
-        assert!(of(Stage::Matches, true).ends_with("--SequentialMatching.overlap 10"));
+        assert!(of(Stage::Matches, true).contains("overlap 10 --SequentialMatching.quadratic_overlap 0"));
         assert!(of(Stage::Cameras, true).contains("--output_path models"));
         assert!(of(Stage::Cameras, true).ends_with("--Mapper.max_extra_param 100"));
     }
 
     #[test]
-    fn progress_is_read_from_both() {
+    fn what_both_say_is_heard() {
         let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
         let colmap = Engine { tool, programs: Programs::default() };
-        assert_eq!(colmap.progress(Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
-        assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (7)"), Some(7));
-        assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (num_reg_frames=7)"), Some(7));
+        let done = |engine: &Engine, stage, line: &str| engine.hear(stage, line).done;
+        assert_eq!(done(&colmap, Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
+        assert_eq!(done(&colmap, Stage::Cameras, "Registering image #12 (7)"), Some(7));
+        assert_eq!(done(&colmap, Stage::Cameras, "Registering image #12 (num_reg_frames=7)"), Some(7));
         let pycolmap = Engine::of_python("python3");
-        assert_eq!(pycolmap.progress(Stage::Matches, r#"{"done": 4, "total": 36}"#), Some(4));
-        assert_eq!(pycolmap.progress(Stage::Matches, "I2026 matching.cc"), None);
-        assert_eq!(
-            pycolmap.reprojection_errors(r#"{"errors_px": {"0": 0.5}}"#),
-            [("0".to_owned(), 0.5)].into()
-        );
+        let said = pycolmap.hear(Stage::Cameras, r#"{"what": "matches", "done": 4, "total": 36}"#);
+        assert_eq!((said.what.as_deref(), said.done, said.total), (Some("matches"), Some(4), Some(36)));
+        assert_eq!(pycolmap.hear(Stage::Matches, "I2026 matching.cc"), Said::default());
+        let errors_px = pycolmap.hear(Stage::Cameras, r#"{"errors_px": {"0": 0.5}}"#).errors_px;
+        assert_eq!(errors_px, [("0".to_owned(), 0.5)].into());
+        let line = r#"{"compared": {"pairs": 9, "of": 36, "left_out_with_all": true}}"#;
+        let compared = pycolmap.hear(Stage::Cameras, line).compared.unwrap();
+        assert_eq!((compared.pairs, compared.of, compared.left_out_with_all), (9, 36, true));
+    }
+
+    #[test]
+    fn the_program_compares_all_photos_and_says_that_this_is_slow() {
+        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let colmap = Engine { tool, programs: Programs::default() };
+        let unordered = Job { photos: 178, pairing: Pairing::Looks, ..job() };
+        let notice = colmap.notice(&unordered).unwrap();
+        assert!(notice.contains("all 15,753 pairs") && notice.contains("pip install pycolmap"), "{notice}");
+        assert_eq!(colmap.compared(&unordered), Some(Compared::all_of(178)));
+        assert!(colmap.notice(&job()).unwrap().contains("neighbours alone"));
+        assert_eq!(colmap.compared(&job()), None);
+        let pycolmap = Engine::of_python("python3");
+        assert_eq!((pycolmap.notice(&unordered), pycolmap.compared(&unordered)), (None, None));
     }
 }

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
-use genesplat::io::mask_of;
+use anyhow::{Result, bail};
+use genesplat::io::Masks;
 use genesplat::io::photos::photo_size;
 use genesplat::run::output;
 
@@ -11,9 +11,18 @@ use genesplat::run::output;
 pub(super) const FOLDER: &str = "masks";
 
 /// The mask of each photo that has one in these folders, by the photo's name.
-pub(super) fn of_photos(photos: &[String], folders: &[PathBuf]) -> Vec<(String, PathBuf)> {
-    let mask = |name: &String| folders.iter().find_map(|folder| mask_of(folder, name));
-    photos.iter().filter_map(|name| Some((name.clone(), mask(name)?))).collect()
+///
+/// Fails where there are masks and none of any photo: cameras would be found on what they hide, and a splat
+/// would show it.
+pub(super) fn of_photos(photos: &[String], folders: &[PathBuf]) -> Result<Vec<(String, PathBuf)>> {
+    let mut folders: Vec<Masks> = folders.iter().cloned().map(Masks::new).collect();
+    let mut mask = |name: &String| folders.iter_mut().find_map(|folder| folder.of(name));
+    let masks: Vec<_> = photos.iter().filter_map(|name| Some((name.clone(), mask(name)?))).collect();
+    let first = photos.first().filter(|_| masks.is_empty());
+    match first.and_then(|photo| folders.iter().find_map(|folder| folder.misfit(photo))) {
+        Some(problem) => bail!("{problem}; rename them, or move that folder away"),
+        None => Ok(masks),
+    }
 }
 
 /// As COLMAP calls the mask of a photo.

@@ -77,8 +77,9 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
         photos::forget(request.out, &work);
     }
     let Some((engine, names, job)) = prepared? else { return Ok(None) };
-    let Some(errors_px) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
-    let summary = Summary::of_largest(&job.models, &names, &errors_px)?;
+    engine.notice(&job).iter().for_each(|notice| output::tell(notice));
+    let Some(outcome) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
+    let summary = Summary::of_largest(&job.models, &names, &outcome)?;
     install(&job.models.join(&summary.model), request.out)?;
     summary.write(&work)?;
     Ok(Some(summary))

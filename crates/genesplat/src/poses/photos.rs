@@ -9,7 +9,9 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
-use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, names, own, shown};
+use genesplat::io::{
+    CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, mask_beside, names, own, shown,
+};
 use genesplat::run::files::{make_own_folder, unwritable, write_own_json};
 use genesplat::run::{output, preparing};
 use rayon::prelude::*;
@@ -55,11 +57,9 @@ impl Source {
         let shown = shown(path);
         ensure!(path.exists(), "{shown} does not exist; give a folder of photos, or a video");
         if path.is_file() && !is_zip(path) {
-            let is_video = has_ending(&path.to_string_lossy(), &VIDEO_ENDINGS);
             ensure!(
-                is_video,
-                "{shown} is neither a folder or a zip of photos nor a video ({})",
-                VIDEO_ENDINGS.join(", ")
+                is_video(path),
+                "{shown} is neither a folder or a zip of photos nor a video that ffmpeg reads"
             );
             return Ok(Self::Video { path: path.to_owned(), frames: frames.unwrap_or(FRAMES) });
         }
@@ -171,6 +171,13 @@ impl Source {
     }
 }
 
+/// Whether a file is a video: by a usual name, or by what ffmpeg finds in it. It takes a photo for a short one.
+fn is_video(path: &Path) -> bool {
+    let has = |endings: &[&str]| has_ending(&path.to_string_lossy(), endings);
+    let is_photo = has(&PHOTO_ENDINGS) || has(&UNREAD);
+    has(&VIDEO_ENDINGS) || (!is_photo && video::is_video(path) == Some(true))
+}
+
 /// Whether the stages of a scene have been begun in `work`.
 pub(crate) fn is_begun(work: &Path) -> bool {
     work.join(RECORD).is_file()
@@ -189,7 +196,7 @@ pub(crate) fn forget(scene: &Path, work: &Path) {
 /// The photos in `path`; fails where there are none, and tells of pictures that are not read.
 fn photos_of(path: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
-    let (Found { mut photos, others, masks }, shown) = (list(&folder)?, shown(path));
+    let (Found { mut photos, others, masks, beside: among }, shown) = (list(&folder)?, shown(path));
     let (heic, others): (Vec<_>, Vec<_>) = others.into_iter().partition(|name| is_heic(name));
     // An earlier search has left these where the photos lie in the scene.
     let sources = photos.iter().filter(|name| is_webp(name)).chain(&heic);
@@ -208,7 +215,11 @@ fn photos_of(path: &Path) -> Result<Photos> {
     }
     let beside = folder.ends_with(IMAGES).then(|| folder.with_file_name(masks::FOLDER));
     let all = [&photos[..], &heic].concat();
-    let masks = masks::of_photos(&all, &masks.into_iter().chain(beside).collect::<Vec<_>>());
+    let in_folders = masks::of_photos(&all, &masks.into_iter().chain(beside).collect::<Vec<_>>())?;
+    let mut masks = [among, in_folders].concat();
+    // Of two masks of a photo, the one beside it.
+    let mut named = BTreeSet::new();
+    masks.retain(|(name, _)| named.insert(name.clone()));
     Ok(Photos { path: folder, names: photos, heic, masks })
 }
 
@@ -298,6 +309,8 @@ struct Found {
     others: Vec<String>,
     /// Folders of masks.
     masks: Vec<PathBuf>,
+    /// Masks among the photos, by the photo's name.
+    beside: Vec<(String, PathBuf)>,
 }
 
 /// Looks into all folders but those of masks and hidden ones: once into each, and by its own name rather than
@@ -327,6 +340,10 @@ fn list(folder: &Path) -> Result<Found> {
             }
         }
     }
+    let all = found.photos.iter().chain(&found.others);
+    found.beside = all.filter_map(|name| Some((name.clone(), mask_beside(&folder.join(name))?))).collect();
+    let masks: BTreeSet<&PathBuf> = found.beside.iter().map(|(_, mask)| mask).collect();
+    found.photos.retain(|name| !masks.contains(&folder.join(name)));
     found.photos.sort();
     found.others.sort();
     found.masks.sort();

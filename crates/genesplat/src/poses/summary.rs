@@ -1,6 +1,6 @@
 //! What a search for cameras has found, in figures and in words.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::fs;
 use std::path::Path;
 
@@ -10,6 +10,8 @@ use genesplat::io::{input, plural, shown};
 use genesplat::run::files::write_own_json;
 use genesplat::run::numbers::thousands;
 use serde::{Deserialize, Serialize};
+
+use super::stages::Outcome;
 
 /// Below the folder of the stages; where it is, the search is done.
 const SUMMARY: &str = "summary.json";
@@ -26,8 +28,48 @@ pub(crate) struct Summary {
     pub(crate) reprojection_error_px: Option<f64>,
     /// Photos that have no camera.
     pub(crate) left_out: Vec<String>,
-    /// Models that photos were found for apart from the largest.
+    /// Models with some of these.
     pub(crate) other_models: usize,
+    /// Not known of searches by older versions, and of films that the program `colmap` has searched.
+    #[serde(default)]
+    pub(crate) compared: Option<Compared>,
+}
+
+/// Which pairs of photos were compared.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Compared {
+    pub(crate) pairs: usize,
+    pub(crate) of: usize,
+    /// `looks`, `place`, `order`; nothing where all pairs were compared.
+    #[serde(default)]
+    pub(crate) chosen_by: Vec<String>,
+    /// Whether each photo that is left out was compared with each that is not.
+    pub(crate) left_out_with_all: bool,
+}
+
+impl Compared {
+    pub(crate) fn all_of(photos: usize) -> Self {
+        let pairs = pairs_of(photos);
+        Self { pairs, of: pairs, chosen_by: Vec::new(), left_out_with_all: true }
+    }
+
+    fn sentence(&self) -> String {
+        let Self { pairs, of, chosen_by, .. } = self;
+        let chosen = match &chosen_by[..] {
+            [] => String::new(),
+            [one] => format!(", chosen by {one}"),
+            [first @ .., last] => format!(", chosen by {} and {last}", first.join(", ")),
+        };
+        match pairs == of {
+            true => format!("compared all {} pairs of photos", thousands(*of)),
+            false => format!("compared {} of {} pairs of photos{chosen}", thousands(*pairs), thousands(*of)),
+        }
+    }
+}
+
+/// How many pairs there are of so many photos.
+pub(crate) fn pairs_of(photos: usize) -> usize {
+    photos * photos.saturating_sub(1) / 2
 }
 
 impl Summary {
@@ -35,7 +77,7 @@ impl Summary {
     pub(crate) fn of_largest(
         models: &Path,
         names: &[String],
-        errors_px: &BTreeMap<String, f64>,
+        Outcome { errors_px, compared }: &Outcome,
     ) -> Result<Self> {
         let entries =
             fs::read_dir(models).map_err(|error| anyhow!("cannot read {}: {error}", shown(models)))?;
@@ -48,8 +90,8 @@ impl Summary {
         // Of equal ones, the first.
         found
             .sort_by(|(a_name, a), (b_name, b)| b.images.len().cmp(&a.images.len()).then(a_name.cmp(b_name)));
-        let other_models = found.len().saturating_sub(1);
-        let Some((name, model)) = found.into_iter().next() else {
+        let mut found = found.into_iter();
+        let Some((name, model)) = found.next() else {
             bail!(
                 "no cameras were found for these {} photos; they need to show the same things from places that differ by small steps, \
                  sharp and with texture: take more, and walk around what you photograph",
@@ -57,7 +99,10 @@ impl Summary {
             );
         };
         let registered: HashSet<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
-        let left_out = names.iter().filter(|name| !registered.contains(name.as_str())).cloned().collect();
+        let is_left_out = |name: &str| !registered.contains(name);
+        let other_models =
+            found.filter(|(_, other)| other.images.iter().any(|image| is_left_out(&image.name))).count();
+        let left_out = names.iter().filter(|name| is_left_out(name)).cloned().collect();
         Ok(Self {
             reprojection_error_px: errors_px.get(&name).copied(),
             model: name,
@@ -66,6 +111,7 @@ impl Summary {
             points: model.points.len(),
             left_out,
             other_models,
+            compared: compared.clone(),
         })
     }
 
@@ -81,30 +127,51 @@ impl Summary {
         write_own_json(work, SUMMARY, self)
     }
 
-    /// One line of figures, and one of advice where photos were left out.
+    /// A line of figures, one of what was compared, and one of advice where photos were left out.
     pub(crate) fn sentences(&self) -> Vec<String> {
-        let Self { photos, registered, points, reprojection_error_px, left_out, .. } = self;
+        let Self { photos, registered, points, reprojection_error_px, compared, .. } = self;
         let error = reprojection_error_px.map_or(String::new(), |error| {
             format!("; on average a point is found {error:.2} pixels from where its camera should see it")
         });
-        let mut sentences = vec![format!(
+        let found = format!(
             "found the cameras of {registered} of {photos} photos, and {} points{error}",
             thousands(*points)
-        )];
-        if !left_out.is_empty() {
-            let named = left_out.iter().take(NAMED_MAX).cloned().collect::<Vec<_>>().join(", ");
-            let more = if left_out.len() > NAMED_MAX { ", ..." } else { "" };
-            let apart = match self.other_models {
-                0 => "they share too little with the others, or are blurred",
-                _ => "they belong together in groups that share too little with this one",
-            };
-            sentences.push(format!(
-                "notice: {} {} left out ({named}{more}): {apart}; take photos in between, in small steps",
+        );
+        let compared = compared.as_ref().map(Compared::sentence);
+        [Some(found), compared, self.advice()].into_iter().flatten().collect()
+    }
+
+    fn advice(&self) -> Option<String> {
+        let left_out = &self.left_out;
+        let named = left_out.iter().take(NAMED_MAX).cloned().collect::<Vec<_>>().join(", ");
+        let more = if left_out.len() > NAMED_MAX { ", ..." } else { "" };
+        (!left_out.is_empty()).then(|| {
+            format!(
+                "notice: {} {} left out ({named}{more}): {}",
                 left_out.len(),
-                plural(left_out.len(), "photo is", "photos are")
-            ));
+                plural(left_out.len(), "photo is", "photos are"),
+                self.cause()
+            )
+        })
+    }
+
+    /// Why photos are left out, and what to do.
+    fn cause(&self) -> &'static str {
+        match (&self.compared, self.other_models) {
+            (None, _) => {
+                "they share too little with those that they were compared with, or are blurred; take photos in between, in small steps"
+            }
+            (Some(compared), _) if !compared.left_out_with_all => {
+                "they share too little with the photos that look most alike, and were not compared with all others; take photos in \
+                 between, in small steps"
+            }
+            (Some(_), 0) => {
+                "they share too little with the others, or are blurred; take photos in between, in small steps"
+            }
+            (Some(_), _) => {
+                "they belong together in groups that share too little with this one; take photos in between, in small steps"
+            }
         }
-        sentences
     }
 }
 
@@ -129,8 +196,10 @@ mod tests {
             model.images.truncate(photos);
             write_model(&models.join(folder), &model).unwrap();
         }
-        let summary = Summary::of_largest(&models, &names, &[("1".to_owned(), 0.57)].into()).unwrap();
-        assert_eq!((summary.model.as_str(), summary.registered, summary.other_models), ("1", 7, 1));
+        let compared = Compared { pairs: 30, left_out_with_all: false, ..Compared::all_of(9) };
+        let outcome = Outcome { errors_px: [("1".to_owned(), 0.57)].into(), compared: Some(compared) };
+        let summary = Summary::of_largest(&models, &names, &outcome).unwrap();
+        assert_eq!((summary.model.as_str(), summary.registered, summary.other_models), ("1", 7, 0));
         assert_eq!(summary.left_out, names[7..]);
         let said = summary.sentences().join("\n");
         assert!(
@@ -140,7 +209,40 @@ mod tests {
         summary.write(place.path()).unwrap();
         assert_eq!(Summary::read(place.path()).unwrap(), Some(summary));
         let none =
-            Summary::of_largest(&scene.join("images"), &names, &BTreeMap::new()).unwrap_err().to_string();
+            Summary::of_largest(&scene.join("images"), &names, &Outcome::default()).unwrap_err().to_string();
         assert!(none.contains("no cameras were found for these 9 photos"), "{none}");
+    }
+    fn summary(other_models: usize, compared: Option<Compared>) -> String {
+        let left_out = ["a.jpg".to_owned()].into();
+        let (model, reprojection_error_px) = ("0".to_owned(), None);
+        let summary = Summary {
+            model,
+            photos: 9,
+            registered: 8,
+            points: 9,
+            reprojection_error_px,
+            left_out,
+            other_models,
+            compared,
+        };
+        summary.sentences().join("\n")
+    }
+
+    #[test]
+    fn what_was_compared_is_said_and_the_cause_fits_it() {
+        let some = |chosen_by: &[&str], left_out_with_all| {
+            let chosen_by = chosen_by.iter().map(|by| by.to_string()).collect();
+            Some(Compared { pairs: 1200, of: 3160, chosen_by, left_out_with_all })
+        };
+        let all = summary(0, Some(Compared::all_of(9)));
+        assert!(all.contains("compared all 36 pairs of photos\n") && all.contains("blurred"), "{all}");
+        let looks = summary(1, some(&["looks"], true));
+        assert!(looks.contains("compared 1,200 of 3,160 pairs of photos, chosen by looks\n"), "{looks}");
+        assert!(looks.contains("belong together in groups"), "{looks}");
+        let many = summary(0, some(&["looks", "place", "order"], false));
+        assert!(many.contains("chosen by looks, place and order\n"), "{many}");
+        assert!(many.contains("were not compared with all others"), "{many}");
+        let unknown = summary(0, None);
+        assert!(unknown.contains("with those that they were compared with"), "{unknown}");
     }
 }

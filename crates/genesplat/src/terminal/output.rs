@@ -6,7 +6,8 @@
 //! | an error | [`complain`] | shown | shown |
 //! | progress, or a notice about the data | [`tell`] | - | shown |
 //! | a notice that can wait for the end | [`note`] | - | shown at once |
-//! | what graphics drivers write to stderr | `without_drivers` | - | shown |
+//! | what helps to find a fault | `detail` | - | shown, and else not |
+//! | what graphics drivers write to stderr | `without_drivers` | - | shown, but for what is no error |
 
 use std::io::{self, ErrorKind, Write};
 use std::panic;
@@ -35,6 +36,12 @@ impl Tell for Terminal {
 
     fn note(&self, text: &str) {
         note(text);
+    }
+
+    fn detail(&self, text: &str) {
+        if is(Volume::Verbose) {
+            tell(text);
+        }
     }
 
     fn begin(&self, work: &Work<'_>) -> Box<dyn Progress> {
@@ -123,8 +130,15 @@ pub fn tell_notes() {
 /// Calls `ask`. Graphics drivers write to the stderr of whoever opens them, and no setting of Vulkan keeps
 /// them from it; so theirs leads nowhere meanwhile.
 fn without_drivers(ask: &mut dyn FnMut()) {
-    let _silence = if is(Volume::Verbose) { None } else { drivers::Silence::begin() };
+    let silence = drivers::Silence::begin(is(Volume::Verbose));
     ask();
+    let said = silence.map_or(String::new(), drivers::Silence::end);
+    said.lines().filter(|line| is_of_drivers(line)).for_each(|line| tell(&format!("driver: {line}")));
+}
+
+/// False for what a driver calls an error and is none: a machine without a screen has no folder for windows.
+fn is_of_drivers(line: &str) -> bool {
+    !line.trim().is_empty() && !line.contains("XDG_RUNTIME_DIR")
 }
 
 /// The content of a lock; a thread that has panicked leaves texts as they are.
@@ -135,7 +149,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(unix)]
 mod drivers {
     use std::fs::File;
-    use std::io::{self, Write};
+    use std::io::{self, Read, Seek, Write};
     use std::sync::Mutex;
 
     use rustix::stdio::dup2_stderr;
@@ -145,21 +159,33 @@ mod drivers {
     /// Our stderr while that of the process leads nowhere.
     static OURS: Mutex<Option<File>> = Mutex::new(None);
 
-    /// Stderr leads nowhere for anybody but [`write()`] while this lives.
-    pub(crate) struct Silence;
+    /// Stderr leads nowhere, or into this file, for anybody but [`write()`] while this lives.
+    pub(crate) struct Silence(Option<File>);
 
     impl Silence {
         /// `None` where there is silence already, or where the system has no file left for it.
-        pub(crate) fn begin() -> Option<Self> {
+        pub(crate) fn begin(listens: bool) -> Option<Self> {
             let mut ours = locked(&OURS);
             if ours.is_some() {
                 return None;
             }
-            let nowhere = File::options().write(true).open("/dev/null").ok()?;
+            let heard = if listens { Some(tempfile::tempfile().ok()?) } else { None };
+            let nowhere = || File::options().write(true).open("/dev/null");
+            let place = heard.as_ref().map_or_else(nowhere, File::try_clone).ok()?;
             let stderr = rustix::io::dup(rustix::stdio::stderr()).ok()?;
-            dup2_stderr(nowhere).ok()?;
+            dup2_stderr(place).ok()?;
             *ours = Some(stderr.into());
-            Some(Self)
+            Some(Self(heard))
+        }
+
+        /// What was said meanwhile, if anybody has listened.
+        pub(crate) fn end(mut self) -> String {
+            let mut said = Vec::new();
+            if let Some(heard) = &mut self.0 {
+                // What cannot be read is not heard.
+                let _ = heard.rewind().and_then(|()| heard.read_to_end(&mut said));
+            }
+            String::from_utf8_lossy(&said).into_owned()
         }
     }
 
@@ -188,8 +214,12 @@ mod drivers {
     pub(crate) struct Silence;
 
     impl Silence {
-        pub(crate) fn begin() -> Option<Self> {
+        pub(crate) fn begin(_listens: bool) -> Option<Self> {
             None
+        }
+
+        pub(crate) fn end(self) -> String {
+            String::new()
         }
     }
 

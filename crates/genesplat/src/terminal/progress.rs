@@ -1,8 +1,9 @@
 //! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no
 //! terminal.
 //!
-//! A terminal has one bar at a time, one line that is narrower than the terminal, so a carriage return is all
-//! it takes to draw over it. Whoever writes to the terminal meanwhile does so [`aside`].
+//! A terminal has one bar at a time, one line that is narrower than the terminal, and the cursor stays at its
+//! start. A terminal that becomes narrower wraps the line and takes the cursor along, so the whole bar is
+//! behind the cursor, however many rows it has. Whoever writes to the terminal meanwhile does so [`aside`].
 
 use std::io::{self, IsTerminal};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -21,6 +22,8 @@ const LINE_PAUSE: Duration = Duration::from_secs(2);
 const DRAW_PAUSE: Duration = Duration::from_millis(100);
 const BAR_LENGTH: u64 = 12;
 const USUAL_WIDTH: u16 = 80;
+/// Clears a terminal from the cursor to its end.
+const CLEAR: &str = "\x1b[J";
 
 /// What is drawn on the terminal.
 static SCREEN: Mutex<Screen> = Mutex::new(Screen { is_taken: false, line: String::new() });
@@ -35,19 +38,33 @@ impl Screen {
         SCREEN.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Draws over what is there.
-    fn draw(&mut self, line: String) {
-        let rest = self.line.chars().count().saturating_sub(line.chars().count());
-        output::write(&format!("\r{line}{}", " ".repeat(rest)));
+    /// Draws over what is there, as much as fits in.
+    fn draw(&mut self, line: &str) {
+        let width = width();
+        let line: String = line.chars().take(width.saturating_sub(1)).collect();
+        output::write(&drawing(&self.line, &line, width));
         self.line = line;
     }
 
     fn clear(&mut self) {
         if !self.line.is_empty() {
-            self.draw(String::new());
-            output::write("\r");
+            self.draw("");
         }
     }
+}
+
+/// What puts `next` in the place of `last`, from the cursor on, and takes the cursor back.
+fn drawing(last: &str, next: &str, width: usize) -> String {
+    let [last, length] = [last, next].map(|line| line.chars().count());
+    // Blanks serve every terminal; but what was wrapped since is cleared by a command alone.
+    let (before, after) =
+        if last < width { ("", " ".repeat(last.saturating_sub(length))) } else { (CLEAR, String::new()) };
+    format!("{before}{next}{after}\r")
+}
+
+/// Of the terminal, in characters.
+fn width() -> usize {
+    terminal_size_of(io::stderr()).map_or(USUAL_WIDTH, |(Width(width), _)| width).into()
 }
 
 /// What `write` returns, with the bar out of its way.
@@ -57,7 +74,7 @@ pub(crate) fn aside<T>(write: impl FnOnce() -> T) -> T {
     screen.clear();
     let written = write();
     if !line.is_empty() {
-        screen.draw(line);
+        screen.draw(&line);
     }
     written
 }
@@ -96,9 +113,8 @@ impl Bar {
     }
 
     fn draw(&self, position: u64, note: &str) {
-        let Width(width) = terminal_size_of(io::stderr()).map_or(Width(USUAL_WIDTH), |(width, _)| width);
-        let line = line(&self.what, position, self.total, note, usize::from(width).saturating_sub(1));
-        Screen::lock().draw(line);
+        let line = line(&self.what, position, self.total, note, width().saturating_sub(1));
+        Screen::lock().draw(&line);
     }
 }
 
@@ -242,6 +258,39 @@ mod tests {
         assert_eq!(at(79), "training ━━━━━─────── 14,100/30,000  3 min left, test PSNR 27.31 dB");
         assert_eq!(at(40), "training ━━━━━─────── 14,100/30,000");
         assert!((0..120).all(|width| at(width).chars().count() <= width));
+    }
+
+    /// What is to be seen on a terminal that wraps its lines anew when its width changes, as most do.
+    fn shown(drawings: &[(usize, &str)]) -> String {
+        let (mut cells, mut cursor, mut last) = (Vec::new(), 0, "");
+        for &(width, next) in drawings {
+            for c in drawing(last, next, width).replace(CLEAR, "\n").chars() {
+                match c {
+                    '\n' => cells.truncate(cursor),
+                    '\r' => cursor -= cursor % width,
+                    c => {
+                        cells.resize(cells.len().max(cursor + 1), ' ');
+                        cells[cursor] = c;
+                        cursor += 1;
+                    }
+                }
+            }
+            last = next;
+        }
+        cells.iter().collect::<String>().trim_end().to_owned()
+    }
+
+    #[test]
+    fn a_terminal_that_changes_its_width_has_no_copies_of_the_bar() {
+        let lines = ["training ━━━━━━━━━━━─ 29/30, 27.31 dB", "training ━━ 29/30", "training"];
+        for widths in [[80, 80, 80], [80, 20, 20], [80, 20, 9], [38, 80, 9], [80, 38, 80]] {
+            for seen in 1..=3 {
+                let drawings: Vec<_> = widths.into_iter().zip(lines).take(seen).collect();
+                assert_eq!(shown(&drawings), lines[seen - 1], "{widths:?}");
+            }
+            let gone = [(widths[0], lines[0]), (widths[1], ""), (widths[2], "")];
+            assert_eq!(shown(&gone), "", "{widths:?}");
+        }
     }
 
     #[test]

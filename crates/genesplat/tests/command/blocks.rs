@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use genesplat::core::Photo;
 use genesplat::io::colmap::{ImageRecord, Intrinsics, Model, write_model};
@@ -68,6 +68,28 @@ fn commands(said: &str) -> Vec<&str> {
     said.lines().filter_map(|line| line.find("genesplat ").map(|at| &line[at..])).collect()
 }
 
+/// A street in two blocks, of which photo 1 is held out.
+struct Split {
+    place: tempfile::TempDir,
+    street: PathBuf,
+    blocks: PathBuf,
+    said: String,
+}
+
+impl Split {
+    fn new() -> Self {
+        let place = tempfile::tempdir().unwrap();
+        let [street, blocks, list] =
+            ["street", "bl ocks", "held out.txt"].map(|name| place.path().join(name));
+        write_street(&street);
+        fs::write(&list, "p01\n").unwrap();
+        let words =
+            ["split", text(&street), "--blocks", "2x1", "--out", text(&blocks), "--test-list", text(&list)];
+        let said = succeed(words);
+        Self { place, street, blocks, said }
+    }
+}
+
 /// Has a shell run a line that the command has printed.
 #[cfg(target_os = "linux")]
 fn in_shell(line: &str, folder: &Path) -> std::process::Output {
@@ -84,21 +106,7 @@ fn places(splat: &Path) -> Vec<f32> {
 
 #[test]
 fn blocks_have_the_photos_that_show_them_and_their_masks() {
-    let place = tempfile::tempdir().unwrap();
-    let [street, blocks, list] = ["street", "bl ocks", "held out.txt"].map(|name| place.path().join(name));
-    write_street(&street);
-    fs::write(&list, "p01\n").unwrap();
-    let said = succeed([
-        "split",
-        text(&street),
-        "--blocks",
-        "2x1",
-        "--out",
-        text(&blocks),
-        "--test-list",
-        text(&list),
-    ]);
-
+    let Split { place, street, blocks, said } = Split::new();
     // The fronts are cut at 5.5, across their width, though they are higher than wide.
     let scenes = ["0-0", "1-0"].map(|name| blocks.join("scenes").join(name));
     holds(&scenes[0].join("images"), [0, 7]);
@@ -131,38 +139,57 @@ fn blocks_have_the_photos_that_show_them_and_their_masks() {
     assert!(!all.join("scenes/0-0/test.txt").exists());
 }
 
+/// Has a shell run a line that works, and returns what it says.
+#[cfg(target_os = "linux")]
+fn works(line: &str, folder: &Path) -> String {
+    let output = in_shell(line, folder);
+    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stderr).unwrap()
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn blocks_are_trained_one_by_one_and_merged() {
-    let place = tempfile::tempdir().unwrap();
-    let [street, blocks, list] = ["street", "bl ocks", "list"].map(|name| place.path().join(name));
-    write_street(&street);
-    fs::write(&list, "p01\n").unwrap();
-    let said = succeed([
-        "split",
-        text(&street),
-        "--blocks",
-        "2x1",
-        "--out",
-        text(&blocks),
-        "--test-list",
-        text(&list),
-    ]);
+    let Split { place, street, blocks, said } = Split::new();
     let [first, second, merge] = commands(&said).try_into().unwrap();
-    let works = |line: &str| {
-        let output = in_shell(line, place.path());
-        assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stderr).unwrap()
-    };
-
     // The commands that it prints train them, with their masks.
-    assert!(works(&format!("{first} {QUICK}")).contains("2 of 8 photos have a mask"));
+    assert!(works(&format!("{first} {QUICK}"), place.path()).contains("2 of 8 photos have a mask"));
     let missing = in_shell(merge, place.path());
     judge_failure(
         missing,
         &["no splat is there yet of block 1-0", &second[.."genesplat train '".len()], "--train-on-all"],
     );
-    works(&format!("{second} {QUICK}"));
+    works(&format!("{second} {QUICK}"), place.path());
+    works(merge, place.path());
+    let merged = place.path().join("merged.ply");
+    each_gave_its_side(&merged, &blocks);
+    succeed(["evaluate", text(&merged), "--data", text(&street), "--device", "cpu", "--no-lpips"]);
+}
+
+/// Every block gives what stands on its side of the cut, and nothing else. On the cut itself stand some
+/// points, rounded to either.
+#[cfg(target_os = "linux")]
+fn each_gave_its_side(merged: &Path, blocks: &Path) {
+    let [left, right] =
+        ["0-0", "1-0"].map(|name| places(&blocks.join("runs").join(name).join("point_cloud.ply")));
+    let apart = |places: Vec<f32>| places.into_iter().filter(|x| (x - 5.5).abs() > 0.1).collect::<Vec<f32>>();
+    let whole = apart(places(merged));
+    let (from_left, from_right): (Vec<f32>, Vec<f32>) = whole.iter().partition(|x| **x < 5.5);
+    assert!(left.iter().any(|x| *x > 6.0) && right.iter().any(|x| *x < 5.0), "blocks know what is beyond");
+    assert!(whole == [&from_left[..], &from_right[..]].concat(), "block after block");
+    assert!(from_left == apart(left.into_iter().filter(|x| *x < 5.5).collect()));
+    assert!(from_right == apart(right.into_iter().filter(|x| *x > 5.5).collect()));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn blocks_that_do_not_belong_together_are_named() {
+    let Split { place, blocks, said, .. } = Split::new();
+    let [first, second, merge] = commands(&said).try_into().unwrap();
+    for line in [first, second] {
+        works(&format!("{line} {QUICK}"), place.path());
+    }
+    let refused = |words: &[&str]| judge_failure(in_shell(merge, place.path()), words);
     // A photo that both have was another one when the second began.
     let inputs = blocks.join("runs/1-0/inputs.json");
     let (before, mut other) = (fs::read(&inputs).unwrap(), json(&inputs));
@@ -170,45 +197,23 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert_eq!(photos[1]["name"], "p05.png");
     photos[1]["photo"] = photos[0]["photo"].clone();
     fs::write(&inputs, other.to_string()).unwrap();
-    let words = [
-        "runs/0-0",
-        "runs/1-0",
-        "photo p05.png is not what the run began with",
-        "split the scene as it is now",
-    ];
-    judge_failure(in_shell(merge, place.path()), &words);
+    let not_as_it_was = "photo p05.png is not what the run began with";
+    refused(&["runs/0-0", "runs/1-0", not_as_it_was, "split the scene as it is now"]);
     fs::write(&inputs, before).unwrap();
-    works(merge);
-
-    // Every block gives what stands on its side of the cut, and nothing else. On the cut itself stand some
-    // points, rounded to either.
-    let [left, right] =
-        ["0-0", "1-0"].map(|name| places(&blocks.join("runs").join(name).join("point_cloud.ply")));
-    let apart = |places: Vec<f32>| places.into_iter().filter(|x| (x - 5.5).abs() > 0.1).collect::<Vec<f32>>();
-    let whole = apart(places(&place.path().join("merged.ply")));
-    let (from_left, from_right): (Vec<f32>, Vec<f32>) = whole.iter().partition(|x| **x < 5.5);
-    assert!(left.iter().any(|x| *x > 6.0) && right.iter().any(|x| *x < 5.0), "blocks know what is beyond");
-    assert!(whole == [&from_left[..], &from_right[..]].concat(), "block after block");
-    assert!(from_left == apart(left.into_iter().filter(|x| *x < 5.5).collect()));
-    assert!(from_right == apart(right.into_iter().filter(|x| *x > 5.5).collect()));
-    let merged = place.path().join("merged.ply");
-    succeed(["evaluate", text(&merged), "--data", text(&street), "--device", "cpu", "--no-lpips"]);
 
     // A checkpoint is what a run leaves that was stopped.
     let checkpoint = blocks.join("runs/1-0/checkpoint");
     fs::create_dir_all(&checkpoint).unwrap();
     fs::write(checkpoint.join("latest.checkpoint"), "half of it").unwrap();
-    let resumed = format!("{second} --resume goes on");
-    judge_failure(in_shell(merge, place.path()), &["block 1-0 was stopped before its end", &resumed]);
+    refused(&["block 1-0 was stopped before its end", &format!("{second} --resume goes on")]);
     fs::remove_dir_all(checkpoint).unwrap();
     // Or its splat alone, where there was no room for a checkpoint.
     fs::remove_file(blocks.join("runs/1-0/metrics.json")).unwrap();
-    judge_failure(in_shell(merge, place.path()), &["block 1-0 failed before its end", second]);
+    refused(&["block 1-0 failed before its end", second]);
     fs::remove_dir_all(blocks.join("runs/1-0")).unwrap();
 
-    works(&format!("{second} {QUICK} --background white"));
-    let words = ["runs/1-0 was trained with background white", "with background black", "all alike"];
-    judge_failure(in_shell(merge, place.path()), &words);
+    works(&format!("{second} {QUICK} --background white"), place.path());
+    refused(&["runs/1-0 was trained with background white", "with background black", "all alike"]);
 }
 
 #[test]

@@ -60,7 +60,7 @@ fn threads_change_nothing_in_other_methods_either() {
 /// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must
 /// choose at any.
 #[test]
-fn threads_change_nothing_in_selection_and_averages_either() {
+fn threads_change_nothing_in_averages_either() {
     let folder = tempfile::tempdir().unwrap();
     let run = |threads: &str| {
         let out = folder.path().join(threads);

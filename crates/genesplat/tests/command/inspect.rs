@@ -39,6 +39,27 @@ fn a_photo_that_is_there_twice_is_named() {
 }
 
 #[test]
+fn a_scene_without_hope_looks_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    copy_scene(folder.path());
+    let images = folder.path().join("images");
+    (3..7).for_each(|at| fs::remove_file(images.join(format!("gallery_{at:03}.png"))).unwrap());
+    (0..9).for_each(|at| {
+        _ = fs::copy(images.join("gallery_000.png"), images.join(format!("x{at}.png"))).unwrap()
+    });
+    fs::create_dir(folder.path().join("masks")).unwrap();
+    fs::copy(images.join("gallery_000.png"), folder.path().join("masks/IMG_1.png")).unwrap();
+    let said = succeed(["inspect", text(folder.path())]);
+    for words in [
+        "look at: the scene has 8 photos with cameras, and from fewer than 10",
+        "look at: only 8 of the 17 photos have a camera in",
+        "masks has no mask of any photo",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+}
+
+#[test]
 fn what_a_scene_lacks_looks_wrong() {
     let folder = tempfile::tempdir().unwrap();
     copy_scene(folder.path());

@@ -17,6 +17,7 @@ mod live_page;
 mod lpips;
 mod mistakes;
 mod overwrite;
+mod pairs;
 mod peer;
 mod photos;
 #[cfg(unix)]

@@ -68,6 +68,7 @@ impl Planted {
         let own = self.place.path().join("own");
         fs::create_dir_all(own.join("PIL")).unwrap();
         fs::write(own.join("pycolmap.py"), include_str!("pycolmap_pretended.py")).unwrap();
+        fs::write(own.join("numpy.py"), "").unwrap();
         fs::write(own.join("pillow_heif.py"), "def register_heif_opener(): pass\n").unwrap();
         fs::write(own.join("PIL/__init__.py"), "").unwrap();
         let photo = scene().join("images/gallery_000.png");

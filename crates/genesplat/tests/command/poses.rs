@@ -11,7 +11,7 @@ use genesplat::io::photos::{read_photo, resize, write_png};
 use crate::support::{command, copy, fail, json, judge_failure, number, python_with, real_data, scene, text};
 
 /// Twelve neighbouring photos of fox at half their size.
-fn small_photos(folder: &Path) -> Option<PathBuf> {
+pub(crate) fn small_photos(folder: &Path) -> Option<PathBuf> {
     let images = real_data()?.join("fox/images");
     let mut names: Vec<PathBuf> = fs::read_dir(images).unwrap().map(|entry| entry.unwrap().path()).collect();
     names.sort();
@@ -23,7 +23,7 @@ fn small_photos(folder: &Path) -> Option<PathBuf> {
     Some(photos)
 }
 
-fn with_python(python: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn with_python(python: &Path, arguments: &[&str]) -> Output {
     command(arguments).env("GENESPLAT_PYTHON", python).output().unwrap()
 }
 

@@ -9,7 +9,7 @@ use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::photos::{read_photo, write_png};
 
 use crate::support::{
-    copy_scene, fail, finished_run, json, number, run, scene, succeed, text, train, without_drivers,
+    command, copy_scene, fail, finished_run, json, number, run, scene, succeed, text, train, without_drivers,
 };
 
 #[test]
@@ -349,8 +349,6 @@ fn what_cannot_be_written_is_said_at_once() {
 #[cfg(target_os = "linux")]
 #[test]
 fn figures_may_go_to_a_pipe() {
-    use crate::support::command;
-
     let folder = tempfile::tempdir().unwrap();
     let picture = text(&finished_run().join("test/gallery_000.png")).to_owned();
     let said = succeed(["evaluate", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"]);
@@ -364,7 +362,7 @@ fn figures_may_go_to_a_pipe() {
 }
 
 #[test]
-fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
+fn auto_without_a_driver_works_on_the_cpu_and_evaluate_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let announced = |arguments: Vec<String>| {
@@ -376,7 +374,7 @@ fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
     let mut arguments = train(scene(), &out, &["--iterations", "3", "--no-lpips"]);
     let device = arguments.iter().position(|word| word == "cpu").unwrap();
     arguments[device] = "auto".into();
-    assert_eq!(announced(arguments.clone()), 1);
+    assert_eq!(announced(arguments.clone()), 0, "`devices` and `evaluate` say so");
     // The configuration of a run names the device that it had, and then nothing was left to us.
     arguments.drain(device - 1..=device);
     let place = arguments.iter().position(|word| word == text(&out)).unwrap();
@@ -389,11 +387,13 @@ fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
 }
 
 #[test]
-fn devices_are_listed() {
-    let said = succeed(["devices"]);
-    assert!(
-        said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu"))
-    );
+fn devices_are_listed_without_errors_that_are_none() {
+    for arguments in [&["devices"][..], &["devices", "-v"]] {
+        let output = command(arguments).env_remove("XDG_RUNTIME_DIR").output().unwrap();
+        let [said, told] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(["cpu", "gpu"].iter().all(|kind| said.lines().any(|line| line.starts_with(kind))), "{said}");
+        assert!(!told.contains("error: ") && !told.contains("XDG_RUNTIME_DIR"), "{told}");
+    }
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! 256 values that stand for many: a scalar quantiser by Lloyd's algorithm.
 
+use rayon::prelude::*;
+
 /// How many values a byte can name.
 const SIZE: usize = 256;
 /// Bins of the histogram that the first values are placed by.
@@ -15,7 +17,7 @@ impl Codebook {
     /// The codebook of `values`, which are finite. Their sum of squared errors is (locally) least.
     pub(super) fn of(values: &[f32]) -> Self {
         let mut sorted = values.to_vec();
-        sorted.sort_unstable_by(f32::total_cmp);
+        sorted.par_sort_unstable_by(f32::total_cmp);
         if sorted.is_empty() {
             return Self { values: vec![0.0; SIZE] };
         }

@@ -18,6 +18,7 @@ use std::path::Path;
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::spherical_harmonics::{SH_STRIDE, coefficients};
 use genesplat_core::{Gaussians, ScreenFilter, morton_order};
+use rayon::prelude::*;
 
 use self::codebook::Codebook;
 use self::meta::{Coded, Means, Meta, Palette as PaletteMeta, Plain};
@@ -25,29 +26,39 @@ use self::pictures::{Archive, ArchiveWriter, Grid, Picture};
 use super::packing::{
     byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, smallest_three,
 };
-use super::{Decoded, FormatError, Options, check_claim};
+use super::{Decoded, FormatError, Options, WriteProgress, check_claim};
 use crate::listing::COORDINATE_MAX;
 
 /// Palette entries in a row of the picture that holds them.
 const ENTRIES_PER_LINE: usize = 64;
 /// Labels have 16 bits.
 const ENTRIES_MAX: usize = 1 << 16;
-/// A palette has an entry for so many Gaussians: twice as many entries gain less than 0.01 dB
-/// (docs/formats.md).
-const GAUSSIANS_PER_ENTRY: usize = 6;
+/// A palette has an entry for so many Gaussians, as far as labels reach: with fewer entries, splats of degree 3
+/// lose a tenth of a dB and more (docs/formats.md).
+const GAUSSIANS_PER_ENTRY: usize = 1;
+
+/// A file has at most so many.
+const PICTURES: usize = 7;
 
 /// What a rotation's fourth byte adds to the index of its largest component.
 const LARGEST_OFFSET: u8 = 252;
 
-pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
-    let cloud = cloud.gather(&morton_order(&cloud.positions));
+pub(super) fn encode(
+    path: &Path,
+    cloud: &Gaussians,
+    options: &Options,
+    progress: &dyn WriteProgress,
+) -> Result<Vec<u8>, FormatError> {
+    let mut cloud = cloud.gather(&morton_order(&cloud.positions));
     let grid = Grid::for_gaussians(cloud.len()).ok_or_else(|| {
         FormatError::unsupported(
             path,
             "would need larger pictures than WebP has; write a .ply, or fewer Gaussians",
         )
     })?;
-    let mut archive = ArchiveWriter::default();
+    let (mut archive, entries) = (ArchiveWriter::default(), palette_size(cloud.len()));
+    // Splits of the palette, and pictures.
+    progress.start(entries + PICTURES);
     let antialias = options.screen_filter != ScreenFilter::Classic;
     let meta = Meta {
         version: meta::VERSION,
@@ -58,9 +69,9 @@ pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Resul
         scales: write_scales(&mut archive, grid, &cloud),
         quats: write_rotations(&mut archive, grid, &cloud),
         sh0: write_base_colours(&mut archive, grid, &cloud),
-        sh_n: write_harmonics(&mut archive, grid, &cloud),
+        sh_n: write_harmonics(&mut archive, grid, &mut cloud, entries, progress),
     };
-    archive.finish(&meta).map_err(|source| FormatError::Write { path: path.to_owned(), source })
+    archive.finish(&meta, progress).map_err(|source| FormatError::Write { path: path.to_owned(), source })
 }
 
 /// Positions are on a scale that is linear around the origin and logarithmic far away.
@@ -125,19 +136,31 @@ fn write_base_colours(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians
     Coded { files: [archive.add("sh0.webp", Picture::of(grid, pixels))], codebook: codebook.into_values() }
 }
 
-fn write_harmonics(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians) -> Option<PaletteMeta> {
+fn palette_size(gaussians: usize) -> usize {
+    gaussians.div_ceil(GAUSSIANS_PER_ENTRY).clamp(1, ENTRIES_MAX)
+}
+
+/// Takes the harmonics out of the cloud, of which only these are left to be written.
+fn write_harmonics(
+    archive: &mut ArchiveWriter,
+    grid: Grid,
+    cloud: &mut Gaussians,
+    size: usize,
+    progress: &dyn WriteProgress,
+) -> Option<PaletteMeta> {
     let bands = cloud.sh_degree_in_use();
     let rest = coefficients(bands) - 1;
     if rest == 0 {
         return None;
     }
-    let rows: Vec<&[f32]> = cloud.sh.iter().map(|row| &row[3..3 * (rest + 1)]).collect();
-    let size = cloud.len().div_ceil(GAUSSIANS_PER_ENTRY).clamp(1, ENTRIES_MAX);
-    let palette = palette::build(&rows, size);
-    let codebook = Codebook::of(&palette.entries.concat());
+    let mut rows = std::mem::take(&mut cloud.sh);
+    rows.par_iter_mut().for_each(|row| row[..3].fill(0.0));
+    let palette = palette::build(&rows, size, progress);
+    let values: Vec<&[f32]> = palette.entries.iter().map(|entry| &entry[3..3 * (rest + 1)]).collect();
+    let codebook = Codebook::of(&values.concat());
     let lines =
         Grid { width: ENTRIES_PER_LINE * rest, height: palette.entries.len().div_ceil(ENTRIES_PER_LINE) };
-    let entries = palette.entries.iter().flat_map(|entry| {
+    let entries = values.iter().flat_map(|entry| {
         entry.as_chunks::<3>().0.iter().map(|rgb| {
             let [r, g, b] = rgb.map(|value| codebook.index(value));
             [r, g, b, 255]

@@ -4,11 +4,12 @@ use std::io::{self, Cursor, Read, Write};
 use std::path::Path;
 
 use image_webp::{ColorType, WebPDecoder, WebPEncoder};
+use rayon::prelude::*;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
-use super::FormatError;
 use super::meta::Meta;
+use super::{FormatError, WriteProgress};
 use crate::archive::entries;
 
 /// Sides of a WebP picture have 14 bits.
@@ -84,15 +85,22 @@ impl ArchiveWriter {
     }
 
     /// The bytes of the file.
-    pub(super) fn finish(self, meta: &Meta) -> io::Result<Vec<u8>> {
+    pub(super) fn finish(self, meta: &Meta, progress: &dyn WriteProgress) -> io::Result<Vec<u8>> {
+        let compress = |(name, picture): (String, Picture)| {
+            let bytes = picture.to_webp()?;
+            progress.done(1);
+            Ok((name, bytes))
+        };
+        let files: Vec<(String, Vec<u8>)> =
+            self.files.into_par_iter().with_max_len(1).map(compress).collect::<io::Result<_>>()?;
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
         // Pictures are compressed already, and readers map files that are not.
         let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
         zip.start_file(META, stored)?;
         zip.write_all(&serde_json::to_vec(meta)?)?;
-        for (name, picture) in self.files {
+        for (name, bytes) in files {
             zip.start_file(name, stored)?;
-            zip.write_all(&picture.to_webp()?)?;
+            zip.write_all(&bytes)?;
         }
         Ok(zip.finish()?.into_inner())
     }

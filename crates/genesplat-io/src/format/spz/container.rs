@@ -6,10 +6,11 @@ use std::path::Path;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
+use rayon::prelude::*;
 
 use super::{Attributes, FormatError, Header};
-use crate::format::check_claim;
 use crate::format::packing::word;
+use crate::format::{WriteProgress, check_claim};
 
 const MAGIC: [u8; 4] = *b"NGSP";
 const HEADER_BYTES: usize = 16;
@@ -34,8 +35,11 @@ const EXTENSION_BYTES_MAX: u64 = 1 << 20;
 /// Highest degree of spherical harmonics in a file; degree 4 is read and left out.
 const FILE_SH_DEGREE_MAX: u8 = 4;
 
-/// Level of zstd: the highest that needs no extra memory to be read.
-const ZSTD_LEVEL: i32 = 19;
+/// Level of zstd: 19 takes 30 times as long for files that are 8 % smaller.
+const ZSTD_LEVEL: i32 = 9;
+
+/// Level of gzip: its usual one.
+const GZIP_LEVEL: u32 = 6;
 
 /// The parts of a file, and whether its frame is y up.
 pub(super) fn open(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), FormatError> {
@@ -45,8 +49,13 @@ pub(super) fn open(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, boo
     open_gzip(path, bytes)
 }
 
-pub(super) fn close(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
-    if header.version == 4 { close_zstd(header, attributes) } else { close_gzip(header, attributes) }
+pub(super) fn close(
+    header: &Header,
+    attributes: &Attributes,
+    progress: &dyn WriteProgress,
+) -> io::Result<Vec<u8>> {
+    let close = if header.version == 4 { close_zstd } else { close_gzip };
+    close(header, attributes, progress)
 }
 
 /// The 16 bytes that all versions begin with; version 4 has the number of streams in the last.
@@ -58,17 +67,30 @@ fn header_bytes(header: &Header, last: u8) -> Vec<u8> {
     bytes
 }
 
-fn close_gzip(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
-    let mut out = GzEncoder::new(Vec::new(), Compression::best());
+fn close_gzip(header: &Header, attributes: &Attributes, progress: &dyn WriteProgress) -> io::Result<Vec<u8>> {
+    let streams = attributes.in_order();
+    progress.start(streams.len());
+    let mut out = GzEncoder::new(Vec::new(), Compression::new(GZIP_LEVEL));
     out.write_all(&header_bytes(header, 0))?;
-    attributes.in_order().iter().try_for_each(|stream| out.write_all(stream))?;
+    for stream in streams {
+        out.write_all(stream)?;
+        progress.done(1);
+    }
     out.finish()
 }
 
-fn close_zstd(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
+fn close_zstd(header: &Header, attributes: &Attributes, progress: &dyn WriteProgress) -> io::Result<Vec<u8>> {
     let streams: Vec<&[u8]> = attributes.in_order().into_iter().take(stream_count(header)).collect();
-    let compressed: Vec<Vec<u8>> =
-        streams.iter().map(|stream| zstd::bulk::compress(stream, ZSTD_LEVEL)).collect::<io::Result<_>>()?;
+    progress.start(streams.len());
+    let compress = |stream: &&[u8]| {
+        let compressed = zstd::bulk::compress(stream, ZSTD_LEVEL);
+        progress.done(1);
+        compressed
+    };
+    // The last, of harmonics, is longer than all others together, so it is begun first.
+    let mut compressed: Vec<Vec<u8>> =
+        streams.par_iter().rev().with_max_len(1).map(compress).collect::<io::Result<_>>()?;
+    compressed.reverse();
     let mut bytes = header_bytes(header, streams.len() as u8);
     bytes.extend((HEADER_BYTES_V4 as u32).to_le_bytes());
     bytes.resize(HEADER_BYTES_V4, 0);

@@ -12,11 +12,11 @@ mod container;
 
 use std::path::Path;
 
-use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
+use genesplat_core::spherical_harmonics::coefficients;
 use genesplat_core::{Gaussians, ScreenFilter, morton_order};
 
 use super::packing::half_turn_about_x;
-use super::{Decoded, FormatError, Options};
+use super::{Decoded, FormatError, Options, WriteProgress};
 
 /// A version of `.spz` that is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -86,10 +86,15 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     }
     let is_antialiased = header.flags & FLAG_ANTIALIASED != 0;
     let screen_filter = Some(if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic });
-    Ok(Decoded { cloud, sh_degree: header.sh_degree.min(SH_DEGREE_MAX), screen_filter, is_2dgs: false })
+    Ok(Decoded { cloud, sh_degree: header.sh_degree, screen_filter, is_2dgs: false })
 }
 
-pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
+pub(super) fn encode(
+    path: &Path,
+    cloud: &Gaussians,
+    options: &Options,
+    progress: &dyn WriteProgress,
+) -> Result<Vec<u8>, FormatError> {
     if u32::try_from(cloud.len()).is_err() {
         return Err(FormatError::unsupported(
             path,
@@ -110,6 +115,6 @@ pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Resul
         flags: if options.screen_filter == ScreenFilter::Classic { 0 } else { FLAG_ANTIALIASED },
     };
     let attributes = attributes::pack(&header, &cloud);
-    container::close(&header, &attributes)
+    container::close(&header, &attributes, progress)
         .map_err(|source| FormatError::Write { path: path.to_owned(), source })
 }

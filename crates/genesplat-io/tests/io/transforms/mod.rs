@@ -1,5 +1,6 @@
 //! `transforms.json` scenes: poses, lenses, splits, what is missing, and what is wrong.
 
+mod odd;
 mod points;
 
 use std::fs;
@@ -146,7 +147,7 @@ fn a_frame_names_its_mask() {
     write(folder.path(), "transforms.json", &description);
     let sentence = load(folder.path()).unwrap_err().to_string();
     assert!(
-        sentence.contains("names the mask \"./hide/it.png\"") && sentence.contains("put it there"),
+        sentence.contains("names the mask \"hide/it.png\"") && sentence.contains("put it there"),
         "{sentence}"
     );
     let left = genesplat_core::Photo {
@@ -384,9 +385,9 @@ fn mistakes_are_named() {
         (|d| d["fl_x"] = json!(-3.0), "focal length that is not a positive number"),
         (
             |d| {
-                d.as_object_mut().unwrap().remove("fl_x");
+                _ = ["fl_x", "fl_y"].map(|key| d.as_object_mut().unwrap().remove(key));
             },
-            "neither fl_x nor camera_angle_x",
+            "none of fl_x, fl_y, camera_angle_x and camera_angle_y",
         ),
         (|d| d["w"] = json!(0), "impossible image size"),
         (|d| d["w"] = json!(80), "which is another shape"),

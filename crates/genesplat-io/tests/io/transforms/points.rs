@@ -128,6 +128,8 @@ fn colours_as_fractions_are_brought_to_bytes() {
         colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")),
         [[1, 2, 3], [0, 1, 255]]
     );
+    let of_scanner = "0 0 0 65535 32896 0\n1 1 1 257 514 0";
+    assert_eq!(colours(&ascii_points("", "ushort", of_scanner)), [[255, 128, 0], [1, 2, 0]]);
     assert_eq!(colours(&ascii_points("", "uchar", "0 0 0 1 0 1\n1 1 1 0 0 1")), [[1, 0, 1], [0, 0, 1]]);
 }
 

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 /// Makes the machine ready for a command that measures the CPU backend.
 fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
-    if args.device == Some(DeviceChoice::Gpu) {
+    if args.device() == Some(DeviceChoice::Gpu) {
         bail!("this measures the CPU backend; for a graphics device there is genesplat-lab bench gpu");
     }
     use_threads(args.threads)?;

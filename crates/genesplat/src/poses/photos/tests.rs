@@ -35,7 +35,7 @@ fn photos_are_found_in_subfolders_and_masks_are_none() {
     for name in ["b/2.JPG", "a.png", ".hidden.jpg", "masks/a.png", "notes.txt", "x.HEIC"] {
         file(place.path(), name);
     }
-    let Found { photos, others, masks } = list(place.path()).unwrap();
+    let Found { photos, others, masks, .. } = list(place.path()).unwrap();
     assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
     assert_eq!(masks, [place.path().join("masks")]);
 }
@@ -205,6 +205,19 @@ fn what_is_neither_photos_nor_a_video_is_said() {
     for name in ["empty/notes.txt", "phone/1.dng", "photos/1.jpg", "scene.zip", "scene.rar"] {
         file(place.path(), name);
     }
+    // Masks among photos are none of them.
+    for name in
+        ["among/1.jpg", "among/1.jpg.mask.png", "among/b/2.png", "among/b/2_mask.png", "among/x_mask.png"]
+    {
+        file(place.path(), name);
+    }
+    let among = list(&place.path().join("among")).unwrap();
+    assert_eq!(among.photos, ["1.jpg", "b/2.png", "x_mask.png"]);
+    assert_eq!(among.beside.iter().map(|(name, _)| &**name).collect::<Vec<_>>(), ["1.jpg", "b/2.png"]);
+    // Cameras would be found on what they hide.
+    ["masked/1.jpg", "masked/masks/IMG_7.png"].iter().for_each(|name| file(place.path(), name));
+    let unfit = refusal("masked", None);
+    assert!(unfit.contains("no mask of any photo") && unfit.contains("like IMG_7.png"), "{unfit}");
     assert!(refusal("absent", None).contains("does not exist"));
     assert!(refusal("empty", None).contains("holds no photos"));
     assert!(refusal("phone", None).contains("1.dng is one of 1"));

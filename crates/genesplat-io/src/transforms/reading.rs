@@ -1,0 +1,140 @@
+//! The photos of one `transforms.json`, as far as they are found and can be used.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::schema::{OptionalIntrinsics, PhotoEntry};
+use super::{ENDS, Found, Wanted, camera, with_end};
+use crate::error::SceneError;
+use crate::listing::{
+    ListedPhoto, Purpose, absent_notice, damaged_notice, inside, lost_poses, path_inside, similar_notice,
+};
+use crate::photos::PhotoError;
+use crate::shown;
+use crate::similar::Similar;
+
+/// What is read, and what was found so far.
+pub(super) struct Reading<'a> {
+    pub(super) list: &'a Path,
+    pub(super) folder: &'a Path,
+    pub(super) wanted: Wanted,
+    /// [`camera::common_scale`]
+    pub(super) scale: f64,
+    shared: Arc<Path>,
+    photos: Vec<ListedPhoto>,
+    /// Where photos should be that do not exist.
+    missing: Vec<PathBuf>,
+    /// Those whose size only they could tell.
+    damaged: Vec<PhotoError>,
+    /// Those with a pose that is not finite.
+    lost: Vec<String>,
+    similar: Similar,
+    similar_masks: Similar,
+}
+
+impl<'a> Reading<'a> {
+    /// Nothing so far, of the file `list` in `folder`.
+    pub(super) fn of(list: &'a Path, folder: &'a Path, wanted: Wanted, scale: f64) -> Self {
+        Self {
+            list,
+            folder,
+            wanted,
+            scale,
+            shared: list.into(),
+            photos: Vec::new(),
+            missing: Vec::new(),
+            damaged: Vec::new(),
+            lost: Vec::new(),
+            similar: Similar::default(),
+            similar_masks: Similar::default(),
+        }
+    }
+
+    pub(super) fn add(
+        &mut self,
+        entry: &PhotoEntry,
+        intrinsics: &OptionalIntrinsics,
+        purpose: Purpose,
+    ) -> Result<(), SceneError> {
+        let relative = inside(&entry.file_path, self.list)?;
+        if !camera::is_finite(entry) {
+            self.lost.push(entry.file_path.clone());
+            return Ok(());
+        }
+        let Some((name, path)) = self.find_photo(&relative, &entry.file_path) else {
+            self.missing.push(self.folder.join(relative));
+            return Ok(());
+        };
+        let (camera, lens) = match camera::camera(self.list, entry, intrinsics, &path, self.scale) {
+            Err(SceneError::Photo(error @ PhotoError::Decode { .. })) => {
+                self.damaged.push(error);
+                return Ok(());
+            }
+            known => known?,
+        };
+        let mask = entry.mask_path.as_deref().filter(|_| self.wanted.masks);
+        let mask = mask.map(|name| self.find_mask(name)).transpose()?;
+        let list = self.shared.clone();
+        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, seen: Vec::new() });
+        Ok(())
+    }
+
+    /// The photo as it is named, or with the extension that Blender's script leaves out; or almost so.
+    fn find_photo(&mut self, relative: &Path, name: &str) -> Option<(String, PathBuf)> {
+        let whole = self.folder.join(relative);
+        let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&whole, end)));
+        let exact = candidates.into_iter().find(|(_, path)| path.is_file());
+        exact.or_else(|| self.similar.find(&whole).map(|path| (name.to_owned(), path)))
+    }
+
+    /// The mask that a photo's entry names, or almost so.
+    fn find_mask(&mut self, name: &str) -> Result<PathBuf, SceneError> {
+        let place = path_inside(name).map(|relative| self.folder.join(relative));
+        let exact = place.clone().filter(|path| path.is_file());
+        exact.or_else(|| self.similar_masks.find(&place?)).ok_or_else(|| {
+            let problem =
+                "which is no file in the scene's folder; put it there, or go on without masks by --mask off";
+            SceneError::invalid(self.list, format!("names the mask {name:?}, {problem}"))
+        })
+    }
+
+    /// What was found, with the cloud of `points` that the file names.
+    pub(super) fn finish(mut self, points: Option<String>) -> Result<Found, SceneError> {
+        let all = self.photos.len() + self.missing.len() + self.damaged.len() + self.lost.len();
+        if self.photos.is_empty() && self.missing.is_empty() && !self.damaged.is_empty() {
+            return Err(self.damaged.swap_remove(0).into());
+        }
+        let lost = lost_poses(&self.lost, all, self.list)?;
+        let unused = self.unused(all);
+        let notices = [
+            self.scaled(),
+            similar_notice(self.similar, self.list),
+            absent_notice(&self.missing, all, self.list),
+            damaged_notice(&self.damaged, all),
+            lost,
+            unused,
+        ];
+        let notices = notices.into_iter().flatten().collect();
+        let Self { list, photos, missing, .. } = self;
+        Ok(Found { list: list.to_owned(), photos, missing, points, notices })
+    }
+
+    fn scaled(&self) -> Option<String> {
+        (self.scale != 1.0).then(|| {
+            let list = shown(self.list);
+            format!("all poses of {list} are scaled by {:.4}, which is divided out", self.scale)
+        })
+    }
+
+    /// A photo may be in no list by mistake.
+    fn unused(&self, all: usize) -> Option<String> {
+        let unused = self.photos.iter().filter(|photo| photo.purpose == Purpose::Unused).count();
+        (unused > 0).then(|| {
+            format!(
+                "{unused} of the {all} photos that {} lists are neither trained nor tested on, as its train_filenames, \
+                 val_filenames and test_filenames have it",
+                shown(self.list)
+            )
+        })
+    }
+}

@@ -1,0 +1,131 @@
+//! Odd `transforms.json` files that programs and people write.
+
+use std::fs;
+
+use serde_json::{Value, json};
+
+use super::{assert_same_camera, camera, load, load_description, nerfstudio, write};
+
+fn scale(description: &mut Value, frame: usize, factor: f64) {
+    for row in 0..3 {
+        for column in 0..3 {
+            let value = &mut description["frames"][frame]["transform_matrix"][row][column];
+            *value = json!(factor * value.as_f64().unwrap());
+        }
+    }
+}
+
+#[test]
+fn one_scale_of_all_poses_is_divided_out() {
+    for factor in [1.37, 0.01, 250.0] {
+        let mut description = nerfstudio();
+        (0..3).for_each(|frame| scale(&mut description, frame, factor));
+        let scene = load_description(&description).unwrap();
+        assert_same_camera(&scene.train[0].camera, &camera(1));
+        let told = format!("are scaled by {factor:.4}, which is divided out");
+        assert!(scene.notices[0].contains(&told), "{:?}", scene.notices);
+    }
+    let mut description = nerfstudio();
+    scale(&mut description, 1, 1.37);
+    let refused = load_description(&description).unwrap_err().to_string();
+    assert!(refused.contains("images/1.png is not a rotation"), "{refused}");
+}
+
+#[test]
+fn one_angle_is_enough() {
+    for (key, side) in [("camera_angle_x", 40.0), ("camera_angle_y", 30.0)] {
+        let mut description = nerfstudio();
+        _ = ["fl_x", "fl_y"].map(|key| description.as_object_mut().unwrap().remove(key));
+        description[key] = json!(2.0 * f64::atan(0.5 * side / 50.0));
+        let focal = load_description(&description).unwrap().train[0].camera.focal_px;
+        assert!(focal.iter().all(|focal| (focal - 50.0).abs() < 1e-9), "{key}: {focal:?}");
+    }
+}
+
+/// The scene of this text.
+fn load_text(text: &str) -> Result<genesplat_io::Scene, String> {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    fs::write(folder.path().join("transforms.json"), text).unwrap();
+    load(folder.path()).map_err(|error| error.to_string())
+}
+
+/// Python writes `NaN`, which is none of JSON's words.
+#[test]
+fn what_is_not_finite_is_ignored_left_out_or_told() {
+    let whole = nerfstudio().to_string();
+    for word in ["NaN", "Infinity", "-Infinity"] {
+        let unread =
+            load_text(&whole.replace("\"sharpness\":3.5", &format!("\"sharpness\":{word}"))).unwrap();
+        assert_eq!(unread.train.len() + unread.test.len(), 3, "{:?}", unread.notices);
+        let mut lost = nerfstudio();
+        lost["frames"][1]["transform_matrix"][0][3] = json!("PLACE");
+        let lost = lost.to_string().replace("\"PLACE\"", word);
+        let scene = load_text(&lost).unwrap();
+        assert_eq!(scene.train.len() + scene.test.len(), 2);
+        let told = "1 of the 3 photos that";
+        assert!(
+            scene
+                .notices
+                .iter()
+                .any(|notice| notice.contains(told) && notice.contains("a pose that is not finite")),
+            "{:?}",
+            scene.notices
+        );
+        let focal = load_text(&whole.replace("\"fl_x\":44", &format!("\"fl_x\":{word}"))).unwrap_err();
+        assert!(focal.contains("focal length that is not a positive number"), "{focal}");
+    }
+    let all = whole.replace("\"transform_matrix\":[[", "\"transform_matrix\":[[NaN,0,0,0],[");
+    assert!(load_text(&all).unwrap_err().contains("is not finite"));
+    // The place is that of the file.
+    let refused = load_text("{\"aabb\": [NaN, Infinity, -Infinity], \"frames\": [}").unwrap_err();
+    assert!(refused.contains("line 1 column 49"), "{refused}");
+    let text = load_text(&whole.replace("\"fl_x\":44", "\"fl_x\":\"wide\"")).unwrap_err();
+    assert!(text.contains("expected a number"), "{text}");
+}
+
+#[test]
+fn masks_and_points_are_found_as_photos_are() {
+    let points = super::ascii_points("", "uchar", "1 -2 0.5 9 8 7\n4 5 6 255 128 0\n");
+    let grey = genesplat_core::Photo { width: 40, height: 30, rgb: vec![0; 3600] };
+    for place in ["", "./", ".\\", "C:\\scan\\", "/home/me/scan/", "../scan/"] {
+        let separator = if place.contains('\\') { "\\" } else { "/" };
+        let mut description = nerfstudio();
+        description["frames"][1]["mask_path"] = json!(format!("{place}masks{separator}1.png"));
+        description["ply_file_path"] = json!(format!("{place}Cloud.ply"));
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), "transforms.json", &description);
+        genesplat_io::photos::write_png(&folder.path().join("masks/1.png"), &grey).unwrap();
+        let is_elsewhere = place.len() > 2;
+        fs::write(folder.path().join(if is_elsewhere { "Cloud.ply" } else { "cloud.ply" }), &points).unwrap();
+        let scene = load(folder.path()).unwrap_or_else(|error| panic!("{place}: {error}"));
+        assert_eq!((scene.points.len(), scene.points[0].position), (4, [1.0, -2.0, 0.5]), "{place}");
+        let told = |words: &str| scene.notices.iter().any(|notice| notice.contains(words));
+        assert!(told("hidden entirely and left out, first 1.png"), "{place}: {:?}", scene.notices);
+    }
+}
+
+/// As points3D.txt has it.
+#[test]
+fn clouds_without_colours_or_with_lost_points_are_read() {
+    let with = |ply: String| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut description = nerfstudio();
+        description["ply_file_path"] = json!("points.ply");
+        write(folder.path(), "transforms.json", &description);
+        fs::write(folder.path().join("points.ply"), ply).unwrap();
+        load(folder.path()).map_err(|error| error.to_string())
+    };
+    let rows = "1 -2 0.5 9 8 7\n4 5 6 255 128 0\nnan 0 0 1 2 3\n";
+    let lost = with(super::ascii_points("", "uchar", rows).replace("vertex 4", "vertex 5")).unwrap();
+    assert_eq!((lost.points.len(), lost.points[1].rgb), (4, [255, 128, 0]));
+    let told = |notice: &String| notice.contains("1 of the 5 points of") && notice.contains("not finite");
+    assert!(lost.notices.iter().any(told), "{:?}", lost.notices);
+    let bare = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+                end_header\n";
+    let bare = with(format!("{bare}{}", "1 2 3\n".repeat(4))).unwrap();
+    assert_eq!((bare.points.len(), bare.points[0].rgb), (4, [127; 3]));
+    assert!(bare.notices.iter().any(|notice| notice.contains("have no colours")), "{:?}", bare.notices);
+    let far = super::ascii_points("", "uchar", "1 -2 0.5 9 8 7\n1e25 5 6 255 128 0\n");
+    assert!(with(far).unwrap_err().contains("point 2 has a position that lies beyond 1e9 world units"));
+}
