@@ -22,7 +22,9 @@ pub(crate) fn digests(
     exposure: Option<&Exposure>,
 ) -> [Digest; PARTS.len()] {
     let Inputs { settings: of_result, scene, exposure, .. } = Inputs::of(settings, scene, exposure);
-    let gains = exposure.into_iter().flat_map(|exposure| exposure.photos.into_values().flatten());
+    let gains = exposure
+        .into_iter()
+        .flat_map(|exposure| exposure.photos.into_values().flatten().chain([exposure.dark]));
     let checkpoint_every = settings.schedule.config().checkpoint_every;
     let of_photos =
         |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
@@ -87,13 +89,12 @@ mod tests {
 
     #[test]
     fn ranks_whose_photos_have_other_gains_are_told_apart() {
-        let options = GalleryOptions { width: 16, height: 16, views: 9, points: 20, seed: 1 };
-        let scene = gallery::generate(&options).into_scene(HoldOut::EveryEighth);
+        let scene = small_scene::gallery().into_scene(HoldOut::EveryEighth);
         let settings = ConfigFile::of_scene("scene".into(), Default::default());
         let settings = settings.resolve(Machine::default()).unwrap();
         let of = |gain: f32| {
             let photos = [("gallery_001.png".to_owned(), [gain, 1.0, 1.0])].into();
-            digests(&settings, &scene, Some(&Exposure { stops: 0.5, explained: 0.3, photos }))
+            digests(&settings, &scene, Some(&Exposure { stops: 0.5, explained: 0.3, photos, dark: 0.8 }))
         };
         let (one, other) = (of(1.1), of(1.2));
         assert!(one[..4] == other[..4] && one[4] != other[4] && one == of(1.1));

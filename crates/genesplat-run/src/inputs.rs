@@ -317,8 +317,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         assert!(Inputs::read(folder.path()).unwrap().is_none());
         let gain = [0.1, 1.0 / 3.0, 1.7];
-        let exposure =
-            Exposure { stops: 0.53, explained: 0.351, photos: [("a.png".to_owned(), gain)].into() };
+        let exposure = Exposure {
+            stops: 0.53,
+            explained: 0.351,
+            photos: [("a.png".to_owned(), gain)].into(),
+            dark: 0.7,
+        };
         for exposure in [None, Some(exposure)] {
             let (settings, scene) = ("seed = 1".into(), digests());
             let inputs = Inputs { settings, scene, exposure, accepted: Vec::new() };

@@ -82,22 +82,26 @@ pub struct ExposureFigures {
     pub stops: f32,
     /// Share of what shared points differ by that it explains.
     pub explained: f32,
+    /// PSNR of test photos against renders as they are, at the mean exposure of training photos, dB.
+    pub test_psnr_raw: Option<f64>,
     /// PSNR of test photos against renders at each photo's exposure, as the points say that it shares with
-    /// training photos, dB: what `test.psnr` is. No pixel of the render is looked at for it.
+    /// training photos, dB: what `test.psnr` is. No render is looked at for it.
     pub test_psnr_at_track_exposure: Option<f64>,
-    /// Figures of test photos against renders as they are, at the mean exposure of training photos.
-    pub test_as_rendered: Evaluation,
+    /// PSNR of test photos after a fit of each render's colours to its photo, dB.
+    pub test_cc_psnr: Option<f64>,
 }
 
 impl ExposureFigures {
     /// Those of test photos with these scores.
-    pub fn of(exposure: &Exposure, test: &Scores) -> Option<Self> {
-        Some(Self {
+    pub fn of(exposure: &Exposure, test: &Scores) -> Self {
+        let finite = |psnr: f64| Some(psnr).filter(|psnr| psnr.is_finite());
+        Self {
             stops: exposure.stops,
             explained: exposure.explained,
-            test_psnr_at_track_exposure: Some(test.scores.psnr).filter(|psnr| psnr.is_finite()),
-            test_as_rendered: test.as_rendered.clone()?,
-        })
+            test_psnr_raw: test.as_rendered.as_ref().and_then(|scores| finite(scores.psnr)),
+            test_psnr_at_track_exposure: finite(test.scores.psnr),
+            test_cc_psnr: finite(test.cc_psnr),
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use genesplat_core::View;
 use genesplat_io::{Doubt, LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
 use genesplat_train::scene::initialise::ColouredPoint;
 
-use crate::exposure::ExposureUse;
+use crate::exposure::Corrections;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
@@ -24,7 +24,7 @@ pub const PHOTOS_MIN: usize = 10;
 /// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go
 /// that memory should not hold. Of its doubts, [`check_promising`] tells.
 pub fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
-    let with_tracks = dataset.exposure != ExposureUse::Off;
+    let with_tracks = dataset.corrections != Corrections::Off;
     let options = LoadOptions { seed, spill, with_tracks, ..dataset.options() };
     told(read(&dataset.path, background, options))
 }

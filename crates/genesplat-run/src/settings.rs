@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::device::DeviceChoice;
-use crate::exposure::ExposureUse;
+use crate::exposure::Corrections;
 use crate::session::check_is_run;
 use crate::{CONFIG, photos};
 
@@ -73,7 +73,7 @@ pub struct PhotosAsked {
     /// Near plane of all cameras, world units.
     pub near: Option<f64>,
     /// Whether photos are brought to one exposure.
-    pub exposure: Option<ExposureUse>,
+    pub corrections: Option<Corrections>,
 }
 
 impl PhotosAsked {
@@ -85,7 +85,7 @@ impl PhotosAsked {
         dataset.images = self.images.clone().or(dataset.images.take());
         dataset.mask = self.mask.unwrap_or(dataset.mask);
         dataset.near = self.near.or(dataset.near);
-        dataset.exposure = self.exposure.unwrap_or(dataset.exposure);
+        dataset.corrections = self.corrections.unwrap_or(dataset.corrections);
         if let Some(hold_out) = &self.hold_out {
             dataset.hold_out = hold_out.clone();
         }
@@ -152,7 +152,7 @@ pub struct Dataset {
     /// Whether photos are brought to one exposure before training: `auto` (where the points that they share say
     /// that it helps), `on` or `off`.
     #[serde(skip_serializing_if = "is_default")]
-    pub exposure: ExposureUse,
+    pub corrections: Corrections,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,
     /// `{ photos = ["a.jpg"] }`, `"none"`.
     #[serde(skip_serializing_if = "is_default")]
@@ -329,11 +329,11 @@ impl ConfigFile {
     /// A resumed run goes on with the settings that it began with, or its result would belong to neither.
     fn check_goes_on_with(&self, saved: &Self, out: &Path) -> Result<()> {
         let [there, here] = [saved, self].map(|file| result_settings(&file.dataset, &file.train));
-        let exposure = || {
-            let [there, here] = [saved, self].map(|file| file.dataset.exposure.name());
-            (there != here).then(|| format!("dataset.exposure is {there} there and {here} here"))
+        let corrections = || {
+            let [there, here] = [saved, self].map(|file| file.dataset.corrections.name());
+            (there != here).then(|| format!("dataset.corrections is {there} there and {here} here"))
         };
-        if let Some(difference) = first_difference(&there, &here).or_else(exposure) {
+        if let Some(difference) = first_difference(&there, &here).or_else(corrections) {
             bail!(
                 "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
                  another folder",
@@ -430,7 +430,7 @@ fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
         Table::try_from(settings).expect("settings are tables of numbers and text")
     }
     let mut table = to_table(&TrainConfig { checkpoint_every: 0, ..train.clone() });
-    let size = Dataset { path: "".into(), exposure: ExposureUse::default(), ..dataset.clone() };
+    let size = Dataset { path: "".into(), corrections: Corrections::default(), ..dataset.clone() };
     table.insert("dataset".into(), Value::Table(to_table(&size)));
     table
 }

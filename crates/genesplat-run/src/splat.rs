@@ -50,28 +50,34 @@ impl Splat {
         }
     }
 
-    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise:
-    /// training photos at the mean exposure, if they were brought to it, and test photos as they are.
+    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise; their
+    /// exposure is their own.
     ///
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
-        let scene = self.load_scene_to_train(data, asked)?;
+        let scene = self.load(data, asked)?;
         scene.doubts.iter().for_each(|doubt| output::tell(&format!("notice: {}", doubt.problem)));
         Ok(scene)
     }
 
-    /// The same, without a word about its doubts.
+    /// The same, without a word about its doubts, and with training photos at the exposure that training sees,
+    /// if the run brought them to it.
     pub fn load_scene_to_train(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
+        let mut scene = self.load(data, asked)?;
+        if let Some(exposure) = self.exposure(&scene, asked) {
+            exposure.bring(&mut scene, None)?;
+        }
+        Ok(scene)
+    }
+
+    fn load(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
-        let mut scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
+        let scene = scene::load_to_look(&dataset, divisor, self.settings.background)?;
         // Photos of another folder are asked for as such.
         let began_with = self.began_with.as_ref().filter(|_| asked.images.is_none());
         began_with
             .into_iter()
             .for_each(|(folder, began)| notice_changes(&began.scene, folder, &scene.digests, &scene.name));
-        if let Some(exposure) = self.exposure(&scene, asked) {
-            exposure.bring(&mut scene, None)?;
-        }
         Ok(scene)
     }
 

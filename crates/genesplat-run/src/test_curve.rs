@@ -6,7 +6,7 @@ use anyhow::Result;
 use genesplat_core::{CloudRenderer, View};
 use genesplat_metrics::psnr_under;
 
-use crate::exposure::{Exposure, put_on};
+use crate::exposure::Exposure;
 
 const POINTS: u32 = 12;
 
@@ -31,11 +31,9 @@ impl<'a> TestCurve<'a> {
     pub(crate) fn score(&self, renderer: &mut CloudRenderer<'_>) -> Result<Option<f64>> {
         let mut sum = 0.0;
         for view in self.views {
-            let gain = self.exposure.map(|exposure| exposure.gain(&view.name));
-            let image = renderer.render(&view.camera)?;
-            let picture =
-                gain.map_or_else(|| image.to_photo(), |gain| put_on(image.clone(), gain).to_photo());
-            sum += psnr_under(view.mask.as_deref(), &picture, &*view.photo.read()?)?;
+            let mut image = renderer.render(&view.camera)?;
+            image.scale(self.exposure.map_or([1.0; 3], |exposure| exposure.gain(&view.name)));
+            sum += psnr_under(view.mask.as_deref(), &image.to_photo(), &*view.photo.read()?)?;
         }
         let mean = sum / self.views.len() as f64;
         Ok(mean.is_finite().then_some(mean))

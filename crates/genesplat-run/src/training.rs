@@ -22,7 +22,7 @@ use super::test_curve::TestCurve;
 use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
-use crate::exposure::Exposure;
+use crate::exposure::{Exposure, Light};
 use crate::output;
 use crate::output::Bar;
 use crate::report::curves::Curves;
@@ -132,12 +132,16 @@ impl Run<'_> {
         let schedule = &settings.schedule;
         let curve = TestCurve::new(&scene.test, self.exposure, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
+        let brightness = self.exposure.map_or(1.0, |exposure| 1.0 / exposure.dark);
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_mut(), asked);
+        reporter.show_at(brightness);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
         let owners = cluster::owners(self.cluster);
         let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(*saved, owners));
+        // A copy only where there is another exposure.
+        let cloud = if brightness == 1.0 { cloud } else { cloud.at_brightness(brightness) };
         session.write_cloud(&cloud, schedule.render_settings().filter, owners)?;
         saved?;
         drop(cloud);
@@ -200,7 +204,7 @@ impl Run<'_> {
             seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
-            exposure: self.exposure.and_then(|exposure| ExposureFigures::of(exposure, &test)),
+            exposure: self.exposure.map(|exposure| ExposureFigures::of(exposure, &test)),
             test: test.scores,
             train,
             seconds,
@@ -220,6 +224,7 @@ impl Run<'_> {
             }
             curves.notices.push(notice);
         }
+        curves.notices.extend(self.exposure.map(Exposure::told));
         let page = self.report(session.path(), metrics, curves)?;
         session.write_results(&page, metrics)
     }
@@ -241,16 +246,16 @@ impl Run<'_> {
         };
         let settings = self.settings.schedule.render_settings();
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
-        let mut score = |views: &[View], exposure: Option<&Exposure>, folder: Option<&Path>| {
+        let light = self.exposure.map(Light::in_training);
+        let mut score = |views: &[View], light: Option<Light<'_>>, folder: Option<&Path>| {
             let bar = bar("scores", 0, views.len() as u64);
-            evaluate_until(stop, device, views, &settings, (lpips, exposure), folder, bar)
+            evaluate_until(stop, device, views, &settings, (lpips, light), folder, bar)
         };
         let folder = session.writes().then_some(session.path());
-        let Some(test) = score(&self.scene.test, self.exposure, folder)? else {
+        let Some(test) = score(&self.scene.test, light, folder)? else {
             return Ok(None);
         };
-        // They are at the mean exposure, as renders are.
-        Ok(score(train, None, None)?.map(|train| (test, train.scores)))
+        Ok(score(train, light.map(Light::brought), None)?.map(|train| (test, train.scores)))
     }
 
     fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {

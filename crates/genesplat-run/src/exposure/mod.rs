@@ -2,35 +2,48 @@
 //! points that photos share say that it helps.
 //!
 //! A photo has three numbers, the factors by which its red, green and blue are brighter than on average of
-//! the training photos. They are those by which its pixels differ from the colours of COLMAP's points. Whether
-//! they are worth anything is judged on the halves of photos: the gain that one half tells must make the
-//! other half more alike. A test photo's gain comes from the points that it shares with training photos, and
-//! is put on its render: the photo itself is compared as it is.
+//! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
+//! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
+//! have the mean 0, so no cast drifts in. Whether they are worth anything is judged on the halves of photos: the gain
+//! that one half tells must make the other half more alike, and else all is as if nobody had asked.
+//!
+//! The photos that training sees are darker than the mean by one factor, [`Exposure::dark`], so that what the
+//! darkest photo shows white is not cut off in any; the cloud is made brighter by it when it is shown or
+//! saved, which is exact, since colours are linear in their harmonics. So no device knows of exposure.
+//!
+//! A test photo's gain comes from the points that it shares with training photos, and is put on its render:
+//! the photo itself is compared as it is.
 
 mod estimate;
 mod fit;
+mod light;
 mod samples;
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use anyhow::{Result, bail};
-use genesplat_core::{BackendError, Camera, Gaussians, Image, Photo, RenderSettings, Renderer, View};
+use genesplat_core::{Photo, View};
 use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
+
+pub use light::Light;
+pub(crate) use light::Lit;
 
 use crate::output;
 
 /// Share of what shared points differ by that gains must explain to be kept.
 const WORTH: f64 = 0.2;
 
-/// Values from which on a photo may be clipped, and surely is: white stays white.
-const WHITE: [f32; 2] = [240.0, 250.0];
+/// Least spread of exposure that is worth a correction, stops.
+const STOPS_MIN: f32 = 0.15;
+
+/// Darkest that photos are made, so that 8 bits still tell their shades apart.
+const DARK_MIN: f32 = 0.4;
 
 /// Whether photos are brought to one exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum ExposureUse {
+pub enum Corrections {
     /// Where it helps by what shared points say.
     #[default]
     Auto,
@@ -40,7 +53,7 @@ pub enum ExposureUse {
     Off,
 }
 
-impl ExposureUse {
+impl Corrections {
     /// As flags and files call it.
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -61,22 +74,31 @@ pub struct Exposure {
     /// By what factors red, green and blue of a photo are brighter than on average, by the names of views,
     /// test photos among them. One that is not there is taken as it is.
     pub photos: BTreeMap<String, [f32; 3]>,
+    /// By what factor the photos that training sees are brighter than the mean exposure, at most 1.
+    pub dark: f32,
 }
 
-/// The exposure of the photos of `scene`, if they are to be brought to one, and says why or why not.
-pub fn decide(scene: &Scene, asked: ExposureUse) -> Result<Option<Exposure>> {
-    if asked == ExposureUse::Off {
+/// The exposure of the photos of `scene`, which is shown on `background`, if they are to be brought to one,
+/// and says why or why not.
+pub fn decide(scene: &Scene, asked: Corrections, background: [f32; 3]) -> Result<Option<Exposure>> {
+    if asked == Corrections::Off {
         return Ok(None);
     }
-    let Some(exposure) = estimate(scene)? else {
-        let why = "the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared";
-        if asked == ExposureUse::On {
-            bail!("photos cannot be brought to one exposure: {why}; leave out --exposure on");
+    let found = if background == [0.0; 3] { estimate(scene)? } else { None };
+    let Some(exposure) = found else {
+        let why = match background == [0.0; 3] {
+            true => {
+                "the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared"
+            }
+            false => "a white background has no exposure",
+        };
+        if asked == Corrections::On {
+            bail!("photos cannot be brought to one exposure: {why}; leave out --corrections on");
         }
-        output::tell(&format!("photos keep their exposure: {why}"));
         return Ok(None);
     };
-    let is_kept = asked == ExposureUse::On || f64::from(exposure.explained) >= WORTH;
+    let is_worth = f64::from(exposure.explained) >= WORTH && exposure.stops >= STOPS_MIN;
+    let is_kept = asked == Corrections::On || is_worth;
     output::tell(&exposure.sentence(is_kept, scene));
     Ok(is_kept.then_some(exposure))
 }
@@ -88,9 +110,10 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
     let [train, test] = found.gains;
     let named = |(view, gain): (&View, Option<[f32; 3]>)| Some((view.name.clone(), gain?));
+    let dark = train.iter().flatten().flatten().copied().fold(1.0, f32::min).max(DARK_MIN);
     let photos = scene.train.iter().zip(train).chain(scene.test.iter().zip(test)).filter_map(named).collect();
     let (stops, explained) = (found.stops as f32, found.explained as f32);
-    Ok(Some(Exposure { stops, explained, photos }))
+    Ok(Some(Exposure { stops, explained, photos, dark }))
 }
 
 impl Exposure {
@@ -105,10 +128,24 @@ impl Exposure {
         Self { photos: photos.map(|(name, gain)| (name.clone(), *gain)).collect(), ..*self }
     }
 
-    /// Brings the training photos of `scene` to one exposure; `spill` says where photos go that are in a file.
+    /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill` says
+    /// where photos go that are in a file.
     pub fn bring(&self, scene: &mut Scene, spill: Option<&Spill>) -> Result<()> {
-        let brought = |view: &View| Ok(brought(&*view.photo.read()?, self.gain(&view.name)));
+        let dark = table(self.dark);
+        scene.points.iter_mut().for_each(|point| point.rgb = point.rgb.map(|value| dark[usize::from(value)]));
+        let factors = |view: &View| self.gain(&view.name).map(|gain| self.dark / gain);
+        let brought = |view: &View| Ok(scaled(&*view.photo.read()?, factors(view)));
         Ok(replace_photos(&mut scene.train, spill, brought)?)
+    }
+
+    /// What was done, for a report.
+    pub fn told(&self) -> String {
+        let percent = (100.0 * self.explained).round().max(0.0);
+        format!(
+            "photos differ by {:.2} stops, and were brought to one exposure, which explains {percent} % of what shared points differ \
+             by; renders show the mean exposure",
+            self.stops
+        )
     }
 
     /// What was found, and whether it is kept.
@@ -119,7 +156,7 @@ impl Exposure {
             let least = 100.0 * WORTH;
             return format!(
                 "{differ}, and keep their exposure: one exposure would explain {percent} % of what shared points differ by, and it \
-                 pays from {least} % on (--exposure on does it all the same)"
+                 pays from {STOPS_MIN} stops and {least} % on (--corrections on does it all the same)"
             );
         }
         let alone =
@@ -131,60 +168,23 @@ impl Exposure {
             }
         };
         format!(
-            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by (--exposure off \
+            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by (--corrections off \
              leaves them as they are){as_they_are}"
         )
     }
 }
 
-/// `photo` at the mean exposure. What is clipped to white has no known brightness, and stays white.
-fn brought(photo: &Photo, gain: [f32; 3]) -> Photo {
-    let tables = gain.map(table);
-    let rgb = photo.rgb.chunks_exact(3).flat_map(|rgb| [0, 1, 2].map(|c| tables[c][usize::from(rgb[c])]));
+/// `photo` with its red, green and blue multiplied by `factors`.
+fn scaled(photo: &Photo, factors: [f32; 3]) -> Photo {
+    let tables = factors.map(table);
+    let rgb = photo.rgb.as_chunks::<3>().0.iter();
+    let rgb = rgb.flat_map(|rgb| [0, 1, 2].map(|channel| tables[channel][usize::from(rgb[channel])]));
     Photo { rgb: rgb.collect(), ..*photo }
 }
 
-/// What each 8-bit value of a photo with this gain becomes.
-fn table(gain: f32) -> [u8; 256] {
-    std::array::from_fn(|value| {
-        let value = value as f32;
-        let brought = value / gain;
-        let clipped = ((value - WHITE[0]) / (WHITE[1] - WHITE[0])).clamp(0.0, 1.0);
-        (brought + clipped * (value - brought).max(0.0)).round().clamp(0.0, 255.0) as u8
-    })
-}
-
-/// Draws what another device draws, at the exposure of a photo.
-pub(crate) struct Exposed<'a> {
-    pub(crate) renderer: &'a mut dyn Renderer,
-    pub(crate) gain: [f32; 3],
-}
-
-impl Renderer for Exposed<'_> {
-    fn describe(&self) -> String {
-        self.renderer.describe()
-    }
-
-    fn gaussian_count(&self) -> usize {
-        self.renderer.gaussian_count()
-    }
-
-    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        self.renderer.download()
-    }
-
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        Ok(put_on(self.renderer.render(camera, settings)?, self.gain))
-    }
-}
-
-/// A render at the mean exposure, at that of a photo with this gain.
-pub(crate) fn put_on(mut image: Image, gain: [f32; 3]) -> Image {
-    let pixels = image.planes.len() / 3;
-    for (plane, gain) in image.planes.chunks_exact_mut(pixels.max(1)).zip(gain) {
-        plane.iter_mut().for_each(|value| *value *= gain);
-    }
-    image
+/// What each 8-bit value becomes, times `factor`.
+fn table(factor: f32) -> [u8; 256] {
+    std::array::from_fn(|value| (value as f32 * factor).round().clamp(0.0, 255.0) as u8)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use genesplat_core::{Camera, PhotoStore, StoredPhoto};
+use genesplat_core::{Camera, Image, PhotoStore, StoredPhoto};
 use genesplat_gallery::GalleryOptions;
 use genesplat_io::HoldOut;
 
@@ -14,46 +14,66 @@ fn photo(values: &[u8]) -> Photo {
     }
 }
 
+const BLACK: [f32; 3] = [0.0; 3];
+
 #[test]
-fn photos_are_brought_to_the_mean_and_white_stays_white() {
-    let shown = |gain: [f32; 3]| brought(&photo(&[0, 50, 100, 200, 245, 250, 255]), gain).rgb;
-    let channel =
-        |rgb: &[u8], channel: usize| rgb.iter().skip(channel).step_by(3).copied().collect::<Vec<_>>();
-    let rgb = shown([2.0, 1.0, 0.5]);
-    assert_eq!(channel(&rgb, 0), [0, 25, 50, 100, 184, 250, 255]);
-    assert_eq!(channel(&rgb, 1), [0, 50, 100, 200, 245, 250, 255]);
-    assert_eq!(channel(&rgb, 2), [0, 100, 200, 255, 255, 255, 255]);
-    for gain in [0.3, 0.77, 1.0, 1.3, 2.5] {
-        let table = table(gain);
-        assert!(table.is_sorted() && table[255] == 255, "{gain}: brighter stays brighter");
+fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
+    let values = [0, 50, 100, 200, 245, 250, 255];
+    let gains = [("bright", [2.0, 1.0, 0.8]), ("dark", [0.5, 1.0, 1.25])];
+    let photos = gains.map(|(name, gain)| (name.to_owned(), gain)).into();
+    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5 };
+    let mut scene = gallery(|_| [1.0; 3]).0;
+    scene.train = gains.map(|(name, _)| view(name, photo(&values))).into();
+    let points = scene.points.clone();
+    exposure.bring(&mut scene, None).unwrap();
+    let channel = |view: &View, channel: usize| -> Vec<u8> {
+        view.photo.read().unwrap().rgb.iter().skip(channel).step_by(3).copied().collect()
+    };
+    assert_eq!(channel(&scene.train[0], 0), [0, 13, 25, 50, 61, 63, 64]);
+    assert_eq!(channel(&scene.train[0], 1), [0, 25, 50, 100, 123, 125, 128]);
+    assert_eq!(channel(&scene.train[1], 0), values);
+    assert_eq!(scene.points[3].rgb[1], (f32::from(points[3].rgb[1]) / 2.0).round() as u8);
+    for at in &scene.train {
+        let taken = Light::in_training(&exposure).brought().as_taken(at).unwrap();
+        for (back, value) in channel(&taken, 1).iter().zip(values) {
+            assert!(back.abs_diff(value) <= 1, "{back} {value}");
+        }
+        assert_eq!(
+            Light::finished(&exposure).as_taken(at).unwrap().photo.read().unwrap(),
+            at.photo.read().unwrap()
+        );
     }
 }
 
 #[test]
 fn a_render_at_the_exposure_of_a_photo_is_what_the_photo_shows() {
-    let image = Image { width: 2, height: 1, planes: vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6] };
-    let put = put_on(image, [2.0, 1.0, 0.5]);
-    assert_eq!(put.planes, [0.2, 0.4, 0.3, 0.4, 0.25, 0.3]);
-    assert_eq!(put_on(Image::zeros(0, 0), [2.0; 3]), Image::zeros(0, 0));
+    let photos = [("a".to_owned(), [2.0, 1.0, 0.5])].into();
+    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5 };
+    let [training, finished] = [Light::in_training(&exposure), Light::finished(&exposure)];
+    assert_eq!((training.of_photo("a"), training.mean()), ([4.0, 2.0, 1.0], [2.0; 3]));
+    assert_eq!((finished.of_photo("a"), finished.of_photo("b")), ([2.0, 1.0, 0.5], [1.0; 3]));
+    let mut image = Image { width: 2, height: 1, planes: vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6] };
+    image.scale(finished.of_photo("a"));
+    assert_eq!(image.planes, [0.2, 0.4, 0.3, 0.4, 0.25, 0.3]);
+}
+
+fn view(name: &str, photo: Photo) -> View {
+    let camera = Camera::at_origin(photo.width, photo.height, 1.0);
+    View { name: name.into(), camera, photo: photo.into(), mask: None }
 }
 
 #[test]
 fn the_sentence_says_what_was_found_and_what_is_done() {
-    let view = |name: &str| View {
-        name: name.into(),
-        camera: Camera::at_origin(1, 1, 1.0),
-        photo: photo(&[9]).into(),
-        mask: None,
-    };
+    let view = |name: &str| view(name, photo(&[9]));
     let options = GalleryOptions { width: 16, height: 16, views: 9, points: 20, seed: 1 };
     let mut scene = genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth);
     (scene.train, scene.test) = (vec![view("a"), view("b")], vec![view("c")]);
     let photos = [("a".to_owned(), [1.0; 3]), ("c".to_owned(), [1.0; 3])].into();
-    let exposure = Exposure { stops: 0.534, explained: 0.351, photos };
+    let exposure = Exposure { stops: 0.534, explained: 0.351, photos, dark: 0.7 };
     assert_eq!(
         exposure.sentence(true, &scene),
         "photos differ by 0.53 stops, and are brought to one exposure, which explains 35 % of what shared points differ by \
-         (--exposure off leaves them as they are); 1 shares too few points, and stay as they are"
+         (--corrections off leaves them as they are); 1 shares too few points, and stay as they are"
     );
     let kept = exposure.sentence(false, &scene);
     assert!(kept.contains("keep their exposure") && kept.contains("would explain 35 %"), "{kept}");
@@ -100,7 +120,7 @@ fn difference(scene: &Scene) -> f64 {
 #[test]
 fn known_gains_are_found_and_nine_tenths_of_the_damage_come_back() {
     let (mut damaged, plain) = gallery(put);
-    let exposure = decide(&damaged, ExposureUse::Auto).unwrap().expect("it helps");
+    let exposure = decide(&damaged, Corrections::Auto, BLACK).unwrap().expect("it helps");
     let means = [0, 1, 2].map(|channel: usize| {
         let of_train = (0..24).filter(|index| index % 8 != 0);
         (of_train.map(|index| put(index)[channel].ln()).sum::<f32>() / 21.0).exp()
@@ -123,9 +143,17 @@ fn known_gains_are_found_and_nine_tenths_of_the_damage_come_back() {
 #[test]
 fn photos_of_one_exposure_are_left_alone() {
     let (scene, _) = gallery(|_| [1.0; 3]);
-    assert_eq!(decide(&scene, ExposureUse::Auto).unwrap(), None);
-    assert!(decide(&scene, ExposureUse::On).unwrap().is_some_and(|exposure| exposure.stops < 0.05));
-    assert_eq!(decide(&scene, ExposureUse::Off).unwrap(), None);
+    assert_eq!(decide(&scene, Corrections::Auto, BLACK).unwrap(), None);
+    assert!(decide(&scene, Corrections::On, BLACK).unwrap().is_some_and(|exposure| exposure.stops < 0.05));
+    assert_eq!(decide(&scene, Corrections::Off, BLACK).unwrap(), None);
+}
+
+#[test]
+fn a_white_background_has_no_exposure() {
+    let (scene, _) = gallery(put);
+    assert_eq!(decide(&scene, Corrections::Auto, [1.0; 3]).unwrap(), None);
+    let error = decide(&scene, Corrections::On, [1.0; 3]).unwrap_err().to_string();
+    assert!(error.contains("white background") && error.contains("--corrections on"), "{error}");
 }
 
 #[test]
@@ -143,8 +171,8 @@ fn whites_that_are_clipped_do_not_mislead() {
 fn a_scene_without_tracks_is_left_alone_or_a_sentence() {
     let (mut scene, _) = gallery(put);
     scene.seen.clear();
-    assert_eq!(decide(&scene, ExposureUse::Auto).unwrap(), None);
-    let error = decide(&scene, ExposureUse::On).unwrap_err().to_string();
+    assert_eq!(decide(&scene, Corrections::Auto, BLACK).unwrap(), None);
+    let error = decide(&scene, Corrections::On, BLACK).unwrap_err().to_string();
     assert!(error.contains("which photos share which points") && error.contains("leave out"), "{error}");
 }
 

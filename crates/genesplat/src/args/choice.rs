@@ -3,7 +3,7 @@
 use genesplat::flags::Choice;
 use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
-use genesplat::run::exposure::ExposureUse;
+use genesplat::run::exposure::Corrections;
 use genesplat::run::metrics::Split;
 use genesplat::train::{Background, MethodName};
 
@@ -68,11 +68,11 @@ pub(crate) const BACKGROUNDS: &[Choice<Background>] =
 /// `--background` of a finished splat.
 pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
 
-/// `--exposure`.
-pub(crate) const EXPOSURES: &[Choice<ExposureUse>] = &[
-    (ExposureUse::Auto, &["auto"], "Where it helps, by what the points say that photos share"),
-    (ExposureUse::On, &["on"], "Whatever they say"),
-    (ExposureUse::Off, &["off"], "Photos are trained on as they are"),
+/// `--corrections`.
+pub(crate) const CORRECTIONS: &[Choice<Corrections>] = &[
+    (Corrections::Auto, &["auto"], "Where points that photos share say that it helps"),
+    (Corrections::On, &["on"], "Whatever they say; an error where they say nothing"),
+    (Corrections::Off, &["off"], "Photos are trained on as they are"),
 ];
 
 /// `--mask`.

@@ -10,10 +10,11 @@ use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{plural, shown};
 use genesplat::run::CLOUD;
+use genesplat::run::exposure::Light;
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::WriteBar;
 use genesplat::run::photos::check_test_photos;
-use genesplat::run::score::{Scores, evaluate_all};
+use genesplat::run::score::evaluate_all;
 use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
@@ -61,12 +62,10 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let mut score = |when: &str, mut splat: Splat| {
         splat.settings.background = background;
         backend.upload(splat.cloud.into())?;
-        let Scores { scores, as_rendered } =
-            evaluate_all(&mut backend, &scene.test, &splat.settings, None, exposure.as_ref())?;
-        for line in output::scores_lines("test", &scores, as_rendered.as_ref()) {
-            output::print(&format!("{when:<6} {line}"))?;
-        }
-        anyhow::Ok(scores.psnr)
+        let light = exposure.as_ref().map(Light::finished);
+        let found = evaluate_all(&mut backend, &scene.test, &splat.settings, None, light)?;
+        output::print(&format!("{when:<6} {}", output::scores_told("test", &found)))?;
+        anyhow::Ok(found.scores.psnr)
     };
     let before = score("before", splat)?;
     let after = score("after", splat::open(&args.out)?)?;

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Result, bail, ensure};
 use genesplat::io::{PHOTO_ENDINGS, ending, shown};
 use genesplat::metrics::Evaluation;
+use genesplat::run::exposure::Light;
 use genesplat::run::metrics::Split;
 use genesplat::run::photos;
 use genesplat::run::score::{Scores, evaluate_all};
@@ -24,10 +25,22 @@ struct Report {
     gaussians: usize,
     #[serde(flatten)]
     scores: Evaluation,
-    /// Where the run brought its photos to one exposure, `psnr` and its like are of renders at the exposure of
-    /// each photo, and these of renders as they are.
+    /// Mean PSNR after a fit of each render's colours to its photo, dB.
+    cc_psnr: Option<f64>,
+    /// Where the run brought its photos to one exposure: how `psnr` and its like are to be read.
     #[serde(skip_serializing_if = "Option::is_none")]
-    as_rendered: Option<Evaluation>,
+    exposure: Option<AtExposure>,
+}
+
+/// `psnr`, `ssim` and `lpips` are of renders at the exposure of each photo, as shared points say it.
+#[derive(Serialize)]
+struct AtExposure {
+    /// What `psnr` is, dB.
+    psnr_at_track_exposure: f64,
+    /// Of renders as they are, at the mean exposure, dB.
+    psnr_raw: f64,
+    /// The figures of renders as they are.
+    raw: Evaluation,
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
@@ -53,8 +66,7 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let data = splat.scene_path(args.data.as_deref())?;
     let asked = args.photos.asked()?;
     let scene = splat.load_scene(&data, &asked)?;
-    // Training photos are at the mean exposure already.
-    let exposure = splat.exposure(&scene, &asked).filter(|_| args.split == Split::Test);
+    let exposure = splat.exposure(&scene, &asked);
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),
@@ -70,12 +82,17 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud.into())?;
-    let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), exposure.as_ref())?;
-    let Scores { scores, as_rendered } = found;
+    let light = exposure.as_ref().map(Light::finished);
+    let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), light)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
-    for line in output::scores_lines(name, &scores, as_rendered.as_ref()) {
-        output::print(&format!("{line}, at {width}x{height} pixels"))?;
-    }
-    let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores, as_rendered };
-    args.json.write(&report)
+    output::print(&format!("{}, at {width}x{height} pixels", output::scores_told(name, &found)))?;
+    args.json.write(&report(scene.name, (args.split, size, gaussians), found))
+}
+
+fn report(dataset: String, (split, size, gaussians): (Split, [u32; 2], usize), found: Scores) -> Report {
+    let Scores { scores, as_rendered, cc_psnr } = found;
+    let exposure =
+        as_rendered.map(|raw| AtExposure { psnr_at_track_exposure: scores.psnr, psnr_raw: raw.psnr, raw });
+    let cc_psnr = Some(cc_psnr).filter(|psnr| psnr.is_finite());
+    Report { dataset, split, size, gaussians, scores, cc_psnr, exposure }
 }

@@ -122,7 +122,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     let exposure = match args.resume {
         // That of the steps that were made.
         true => Inputs::of_checkpoint(&args.out)?.exposure,
-        false => exposure::decide(&scene, config.dataset.exposure)?,
+        false => exposure::decide(&scene, config.dataset.corrections, background)?,
     };
     exposure.as_ref().map_or(Ok(()), |exposure| exposure.bring(&mut scene, Some(&spill)))?;
     // Now, since weights that cannot be read should not stop a run at its end.
@@ -200,8 +200,10 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
 }
 
 fn print_test(metrics: &Metrics) -> Result<()> {
-    let as_rendered = metrics.exposure.as_ref().map(|figures| &figures.test_as_rendered);
-    output::scores_lines("test", &metrics.test, as_rendered).iter().try_for_each(|line| output::print(line))
+    let line = output::scores_line("test", &metrics.test);
+    let figures = metrics.exposure.as_ref();
+    let others = figures.map(|figures| [figures.test_psnr_raw, figures.test_cc_psnr]);
+    output::print(&output::with_exposure(line, others))
 }
 
 fn print_size(metrics: &Metrics, folder: &Path) -> Result<()> {

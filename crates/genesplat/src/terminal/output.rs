@@ -18,6 +18,7 @@ use anyhow::{Result, anyhow};
 use genesplat_io::{plural, shown};
 use genesplat_metrics::Evaluation;
 use genesplat_run::output::{Progress, Tell, Work};
+use genesplat_run::score::Scores;
 
 use super::progress::{self, Bar};
 pub use crate::flags::Volume;
@@ -241,17 +242,23 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     }
 }
 
-/// The lines of scores of renders; two where they were scored at the exposure of each photo, and
-/// `as_rendered` has those of renders as they are.
-pub fn scores_lines(name: &str, scores: &Evaluation, as_rendered: Option<&Evaluation>) -> Vec<String> {
-    let line = scores_line(name, scores);
-    match as_rendered.filter(|_| !scores.views.is_empty()) {
-        None => vec![line],
-        Some(as_rendered) => vec![
-            format!("{line}, renders at the exposure of each photo, as shared points say it"),
-            format!("{}, renders as they are, at the mean exposure", scores_line("", as_rendered)),
-        ],
+/// A line of scores that were taken at the exposure of each photo, with the PSNR of renders as they are and
+/// after a fit of colours; the same line where photos keep their exposure.
+pub fn with_exposure(line: String, others: Option<[Option<f64>; 2]>) -> String {
+    match others {
+        Some([Some(raw), Some(fitted)]) => format!(
+            "{line}, at the exposure that shared points give each photo; raw {raw:.2} dB, after a fit of colours (cc_psnr) {fitted:.2} dB"
+        ),
+        _ => line,
     }
+}
+
+/// The line of `scores`, as [`with_exposure`].
+pub fn scores_told(name: &str, scores: &Scores) -> String {
+    let line = scores_line(name, &scores.scores);
+    let raw = scores.as_rendered.as_ref().map(|scores| scores.psnr);
+    let finite = |psnr: f64| Some(psnr).filter(|psnr| psnr.is_finite());
+    with_exposure(line, raw.map(|raw| [finite(raw), finite(scores.cc_psnr)]))
 }
 
 /// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause
