@@ -22,9 +22,9 @@ pub(crate) fn digests(
     exposure: Option<&Exposure>,
 ) -> [Digest; PARTS.len()] {
     let Inputs { settings: of_result, scene, exposure, .. } = Inputs::of(settings, scene, exposure);
-    let gains = exposure
-        .into_iter()
-        .flat_map(|exposure| exposure.photos.into_values().flatten().chain([exposure.dark]));
+    let gains = exposure.into_iter().flat_map(|exposure| {
+        exposure.photos.into_values().flatten().chain([exposure.dark, exposure.fall_off])
+    });
     let checkpoint_every = settings.schedule.config().checkpoint_every;
     let of_photos =
         |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
@@ -94,7 +94,11 @@ mod tests {
         let settings = settings.resolve(Machine::default()).unwrap();
         let of = |gain: f32| {
             let photos = [("gallery_001.png".to_owned(), [gain, 1.0, 1.0])].into();
-            digests(&settings, &scene, Some(&Exposure { stops: 0.5, explained: 0.3, photos, dark: 0.8 }))
+            digests(
+                &settings,
+                &scene,
+                Some(&Exposure { stops: 0.5, explained: 0.3, photos, dark: 0.8, fall_off: 0.0 }),
+            )
         };
         let (one, other) = (of(1.1), of(1.2));
         assert!(one[..4] == other[..4] && one[4] != other[4] && one == of(1.1));

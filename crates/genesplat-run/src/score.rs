@@ -11,7 +11,7 @@ use genesplat_metrics::{Evaluation, Lpips, cc_psnr, evaluate};
 
 use crate::TEST;
 use crate::device::Device;
-use crate::exposure::{Light, Lit};
+use crate::exposure::{Light, Lit, Shade};
 use crate::output::Bar;
 use crate::scene;
 
@@ -63,11 +63,11 @@ pub(crate) fn evaluate_until(
         let view = &light.map_or_else(|| Ok(view.clone()), |light| light.as_taken(view))?;
         let (photo, views) = (view.photo.read()?, slice::from_ref(view));
         if let Some(light) = light {
-            let mut renderer = Lit { renderer: device.as_mut(), factors: light.mean() };
+            let mut renderer = Lit { renderer: device.as_mut(), shade: light.mean() };
             as_rendered.extend(evaluate(&mut renderer, views, settings, None, |_, _| ())?.views);
         }
-        let factors = light.map_or([1.0; 3], |light| light.of_photo(&view.name));
-        let mut renderer = Lit { renderer: device.as_mut(), factors };
+        let shade = light.map_or(Shade::NONE, |light| light.of_photo(&view.name));
+        let mut renderer = Lit { renderer: device.as_mut(), shade };
         let mut picture = None;
         let of_one = evaluate(&mut renderer, views, settings, lpips, |_, render| picture = Some(render))?;
         if let Some(picture) = picture {

@@ -6,7 +6,7 @@ use anyhow::Result;
 use genesplat_core::{CloudRenderer, View};
 use genesplat_metrics::psnr_under;
 
-use crate::exposure::Exposure;
+use crate::exposure::{Exposure, Light, Shade};
 
 const POINTS: u32 = 12;
 
@@ -32,7 +32,8 @@ impl<'a> TestCurve<'a> {
         let mut sum = 0.0;
         for view in self.views {
             let mut image = renderer.render(&view.camera)?;
-            image.scale(self.exposure.map_or([1.0; 3], |exposure| exposure.gain(&view.name)));
+            let shade = self.exposure.map(|exposure| Light::finished(exposure).of_photo(&view.name));
+            shade.unwrap_or(Shade::NONE).put_on(&mut image, &view.camera);
             sum += psnr_under(view.mask.as_deref(), &image.to_photo(), &*view.photo.read()?)?;
         }
         let mean = sum / self.views.len() as f64;

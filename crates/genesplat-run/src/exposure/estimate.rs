@@ -1,5 +1,6 @@
 //! From samples to the gains of photos, and whether they are worth anything.
 
+use super::fall_off;
 use super::fit::{Seen, colours, fit, robust_mean};
 use super::samples::Sample;
 
@@ -20,6 +21,8 @@ pub(super) struct Estimate {
     /// By what share of it the mean difference of a photo's half from the colours of points is smaller, with
     /// the gain that its other half tells.
     pub(super) explained: f64,
+    /// What lenses do to corners: [`fall_off`].
+    pub(super) fall_off: f32,
 }
 
 /// One channel's logarithms.
@@ -38,6 +41,8 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
     if train.iter().filter(|samples| is_known(samples)).count() < PHOTOS_MIN {
         return None;
     }
+    let fall_off = fall_off::find(&train, shared.points.len());
+    let [train, test] = [train, test].map(|photos| without(fall_off, photos));
     let channels = [0, 1, 2].map(|channel| of_channel(&train, &test, shared.points.len(), channel));
     let gains = [&train, &test].map(|photos| photos.len());
     let gains = [0, 1].map(|part| {
@@ -50,7 +55,16 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
     let [before, after] =
         [0, 1].map(|which: usize| channels.iter().map(|channel| channel.differences[which]).sum::<f64>());
     let stops = stops(&gains);
-    Some(Estimate { gains, stops, explained: if before > 0.0 { 1.0 - after / before } else { 0.0 } })
+    let explained = if before > 0.0 { 1.0 - after / before } else { 0.0 };
+    Some(Estimate { gains, stops, explained, fall_off })
+}
+
+/// What a lens without this fall-off would have shown.
+fn without(fall_off: f32, mut photos: Vec<Vec<Sample>>) -> Vec<Vec<Sample>> {
+    for sample in photos.iter_mut().flatten() {
+        sample.logs = sample.logs.map(|log| log - fall_off * sample.radius_squared);
+    }
+    photos
 }
 
 /// Points that at least two training photos show, in order.
@@ -141,7 +155,7 @@ mod tests {
                 let noise = 0.02 * ((point * 7919 + 31 * photo as u32) % 11) as f32 / 11.0;
                 let tilted = if is_left == (photo % 2 == 0) { tilt } else { -tilt };
                 let logs = [0, 1, 2].map(|c: usize| (colour * gain[c]).ln() + noise + tilted);
-                Sample { point, is_left, logs }
+                Sample { point, is_left, radius_squared: 0.5, logs }
             };
             (0..60).map(sample).collect()
         };
@@ -154,7 +168,11 @@ mod tests {
             (0..12).map(|photo| [0.7 + 0.05 * photo as f32, 1.0, 1.3 - 0.02 * photo as f32]).collect();
         let (mut train, test) = (photos(&put, 0.0), photos(&put[..4], 0.0));
         // One that shares nothing is not known, and changes nothing.
-        train.push((700..740).map(|point| Sample { point, is_left: true, logs: [-1.0; 3] }).collect());
+        train.push(
+            (700..740)
+                .map(|point| Sample { point, is_left: true, radius_squared: 0.5, logs: [-1.0; 3] })
+                .collect(),
+        );
         let found = estimate(&train, &test).unwrap();
         assert_eq!(found.gains.each_ref().map(Vec::len), [13, 4]);
         assert_eq!(found.gains[0][12], None);

@@ -7,6 +7,8 @@
 //! have the mean 0, so no cast drifts in. Whether they are worth anything is judged on the halves of photos: the gain
 //! that one half tells must make the other half more alike, and else all is as if nobody had asked.
 //!
+//! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
+//!
 //! The photos that training sees are darker than the mean by one factor, [`Exposure::dark`], so that what the
 //! darkest photo shows white is not cut off in any; the cloud is made brighter by it when it is shown or
 //! saved, which is exact, since colours are linear in their harmonics. So no device knows of exposure.
@@ -15,6 +17,7 @@
 //! the photo itself is compared as it is.
 
 mod estimate;
+mod fall_off;
 mod fit;
 mod light;
 mod samples;
@@ -22,12 +25,12 @@ mod samples;
 use std::collections::BTreeMap;
 
 use anyhow::{Result, bail};
-use genesplat_core::{Photo, View};
+use genesplat_core::View;
 use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
 
-pub use light::Light;
 pub(crate) use light::Lit;
+pub use light::{Light, Shade};
 
 use crate::output;
 
@@ -76,6 +79,8 @@ pub struct Exposure {
     pub photos: BTreeMap<String, [f32; 3]>,
     /// By what factor the photos that training sees are brighter than the mean exposure, at most 1.
     pub dark: f32,
+    /// Logarithm of how bright corners are, where the middle is 1, in all photos; not above 0.
+    pub fall_off: f32,
 }
 
 /// The exposure of the photos of `scene`, which is shown on `background`, if they are to be brought to one,
@@ -110,10 +115,13 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
     let [train, test] = found.gains;
     let named = |(view, gain): (&View, Option<[f32; 3]>)| Some((view.name.clone(), gain?));
-    let dark = train.iter().flatten().flatten().copied().fold(1.0, f32::min).max(DARK_MIN);
+    let dark = train.iter().flatten().flatten().copied().fold(1.0, f32::min);
+    // Corners are made brighter.
+    let dark = (dark * found.fall_off.exp()).max(DARK_MIN);
+    let fall_off = found.fall_off;
     let photos = scene.train.iter().zip(train).chain(scene.test.iter().zip(test)).filter_map(named).collect();
     let (stops, explained) = (found.stops as f32, found.explained as f32);
-    Ok(Some(Exposure { stops, explained, photos, dark }))
+    Ok(Some(Exposure { stops, explained, photos, dark, fall_off }))
 }
 
 impl Exposure {
@@ -131,10 +139,14 @@ impl Exposure {
     /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill` says
     /// where photos go that are in a file.
     pub fn bring(&self, scene: &mut Scene, spill: Option<&Spill>) -> Result<()> {
-        let dark = table(self.dark);
-        scene.points.iter_mut().for_each(|point| point.rgb = point.rgb.map(|value| dark[usize::from(value)]));
-        let factors = |view: &View| self.gain(&view.name).map(|gain| self.dark / gain);
-        let brought = |view: &View| Ok(scaled(&*view.photo.read()?, factors(view)));
+        for point in &mut scene.points {
+            point.rgb = point.rgb.map(|value| light::times(value, self.dark));
+        }
+        let brought = |view: &View| {
+            let factors = self.gain(&view.name).map(|gain| self.dark / gain);
+            let shade = Shade { factors, fall_off: -self.fall_off };
+            Ok(shade.of_photo(&*view.photo.read()?, &view.camera))
+        };
         Ok(replace_photos(&mut scene.train, spill, brought)?)
     }
 
@@ -143,9 +155,19 @@ impl Exposure {
         let percent = (100.0 * self.explained).round().max(0.0);
         format!(
             "photos differ by {:.2} stops, and were brought to one exposure, which explains {percent} % of what shared points differ \
-             by; renders show the mean exposure",
-            self.stops
+             by{}; renders show the mean exposure",
+            self.stops,
+            self.corners()
         )
+    }
+
+    fn corners(&self) -> String {
+        let percent = 100.0 * (1.0 - self.fall_off.exp());
+        if self.fall_off < 0.0 {
+            format!(", with corners that are {percent:.0} % darker")
+        } else {
+            String::new()
+        }
     }
 
     /// What was found, and whether it is kept.
@@ -168,23 +190,11 @@ impl Exposure {
             }
         };
         format!(
-            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by (--corrections off \
-             leaves them as they are){as_they_are}"
+            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by{} (--corrections off \
+             leaves them as they are){as_they_are}",
+            self.corners()
         )
     }
-}
-
-/// `photo` with its red, green and blue multiplied by `factors`.
-fn scaled(photo: &Photo, factors: [f32; 3]) -> Photo {
-    let tables = factors.map(table);
-    let rgb = photo.rgb.as_chunks::<3>().0.iter();
-    let rgb = rgb.flat_map(|rgb| [0, 1, 2].map(|channel| tables[channel][usize::from(rgb[channel])]));
-    Photo { rgb: rgb.collect(), ..*photo }
-}
-
-/// What each 8-bit value becomes, times `factor`.
-fn table(factor: f32) -> [u8; 256] {
-    std::array::from_fn(|value| (value as f32 * factor).round().clamp(0.0, 255.0) as u8)
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@ use genesplat_io::Point;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::fall_off::radius_squared;
+
 /// Darkest and brightest value that is believed: beyond, a photo is clipped.
 const BELIEVED: std::ops::RangeInclusive<u8> = 5..=245;
 
@@ -19,6 +21,8 @@ pub(super) struct Sample {
     pub(super) point: u32,
     /// Whether it lies in the left half of the photo.
     pub(super) is_left: bool,
+    /// Where it lies between the middle, 0, and a corner, 1.
+    pub(super) radius_squared: f32,
     /// Logarithms of red, green and blue.
     pub(super) logs: [f32; 3],
 }
@@ -61,7 +65,8 @@ fn sample(view: &View, photo: &Photo, mask: Option<&Mask>, point: u32, place: &P
         sums.iter_mut().zip(rgb).for_each(|(sum, value)| *sum += u32::from(value));
     }
     let logs = sums.map(|sum| (sum as f32 / (9.0 * 255.0)).ln());
-    Some(Sample { point, is_left: 2 * x < photo.width, logs })
+    let radius_squared = radius_squared(&view.camera, f64::from(x) + 0.5, f64::from(y) + 0.5) as f32;
+    Some(Sample { point, is_left: 2 * x < photo.width, radius_squared, logs })
 }
 
 #[cfg(test)]

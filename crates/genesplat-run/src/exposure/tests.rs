@@ -21,7 +21,7 @@ fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
     let values = [0, 50, 100, 200, 245, 250, 255];
     let gains = [("bright", [2.0, 1.0, 0.8]), ("dark", [0.5, 1.0, 1.25])];
     let photos = gains.map(|(name, gain)| (name.to_owned(), gain)).into();
-    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5 };
+    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5, fall_off: 0.0 };
     let mut scene = gallery(|_| [1.0; 3]).0;
     scene.train = gains.map(|(name, _)| view(name, photo(&values))).into();
     let points = scene.points.clone();
@@ -48,12 +48,12 @@ fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
 #[test]
 fn a_render_at_the_exposure_of_a_photo_is_what_the_photo_shows() {
     let photos = [("a".to_owned(), [2.0, 1.0, 0.5])].into();
-    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5 };
+    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5, fall_off: 0.0 };
     let [training, finished] = [Light::in_training(&exposure), Light::finished(&exposure)];
-    assert_eq!((training.of_photo("a"), training.mean()), ([4.0, 2.0, 1.0], [2.0; 3]));
-    assert_eq!((finished.of_photo("a"), finished.of_photo("b")), ([2.0, 1.0, 0.5], [1.0; 3]));
+    assert_eq!((training.of_photo("a").factors, training.mean().factors), ([4.0, 2.0, 1.0], [2.0; 3]));
+    assert_eq!((finished.of_photo("a").factors, finished.of_photo("b").factors), ([2.0, 1.0, 0.5], [1.0; 3]));
     let mut image = Image { width: 2, height: 1, planes: vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6] };
-    image.scale(finished.of_photo("a"));
+    finished.of_photo("a").put_on(&mut image, &Camera::at_origin(2, 1, 1.0));
     assert_eq!(image.planes, [0.2, 0.4, 0.3, 0.4, 0.25, 0.3]);
 }
 
@@ -69,7 +69,7 @@ fn the_sentence_says_what_was_found_and_what_is_done() {
     let mut scene = genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth);
     (scene.train, scene.test) = (vec![view("a"), view("b")], vec![view("c")]);
     let photos = [("a".to_owned(), [1.0; 3]), ("c".to_owned(), [1.0; 3])].into();
-    let exposure = Exposure { stops: 0.534, explained: 0.351, photos, dark: 0.7 };
+    let exposure = Exposure { stops: 0.534, explained: 0.351, photos, dark: 0.7, fall_off: 0.0 };
     assert_eq!(
         exposure.sentence(true, &scene),
         "photos differ by 0.53 stops, and are brought to one exposure, which explains 35 % of what shared points differ by \
