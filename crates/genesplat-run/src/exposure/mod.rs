@@ -35,7 +35,7 @@ pub use light::{Light, Shade};
 use crate::output;
 
 /// Share of what shared points differ by that gains must explain to be kept.
-const WORTH: f64 = 0.2;
+const WORTH: f64 = 0.33;
 
 /// Least spread of exposure that is worth a correction, stops.
 const STOPS_MIN: f32 = 0.15;

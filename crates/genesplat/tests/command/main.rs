@@ -4,6 +4,7 @@ mod bad_input;
 mod blocks;
 mod camera_path;
 mod convert;
+mod corrections;
 mod determinism;
 mod disk;
 mod foreign_folders;
