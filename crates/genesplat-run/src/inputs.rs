@@ -322,6 +322,7 @@ mod tests {
             explained: 0.351,
             photos: [("a.png".to_owned(), gain)].into(),
             dark: 0.7,
+            fall_off: -0.1,
         };
         for exposure in [None, Some(exposure)] {
             let (settings, scene) = ("seed = 1".into(), digests());

@@ -150,10 +150,10 @@ mod tests {
         let of = |(photo, gain): (usize, &[f32; 3])| {
             let sample = |place: u32| {
                 let point = (37 * photo as u32 + 3 * place) % 200;
-                let is_left = place % 2 == 0;
+                let is_left = place.is_multiple_of(2);
                 let colour = 0.2 + 0.5 * (point as f32 / 200.0);
                 let noise = 0.02 * ((point * 7919 + 31 * photo as u32) % 11) as f32 / 11.0;
-                let tilted = if is_left == (photo % 2 == 0) { tilt } else { -tilt };
+                let tilted = if is_left == photo.is_multiple_of(2) { tilt } else { -tilt };
                 let logs = [0, 1, 2].map(|c: usize| (colour * gain[c]).ln() + noise + tilted);
                 Sample { point, is_left, radius_squared: 0.5, logs }
             };

@@ -1,7 +1,7 @@
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
-use genesplat_core::{Camera, Image, PhotoStore, StoredPhoto};
-use genesplat_gallery::GalleryOptions;
+use genesplat_core::{Camera, Image, Photo, PhotoStore, StoredPhoto};
+use genesplat_gallery::{Gallery, GalleryOptions};
 use genesplat_io::HoldOut;
 
 use super::*;
@@ -81,10 +81,13 @@ fn the_sentence_says_what_was_found_and_what_is_done() {
     assert_eq!((exposure.gain("a"), exposure.gain("zzz")), ([1.0; 3], [1.0; 3]));
 }
 
+static PLAIN: LazyLock<Gallery> = LazyLock::new(|| {
+    genesplat_gallery::generate(&GalleryOptions { width: 60, height: 60, views: 24, points: 600, seed: 3 })
+});
+
 /// Photos of the gallery that were taken with these gains, and what they would be with none.
 fn gallery(gain: impl Fn(usize) -> [f32; 3]) -> (Scene, Scene) {
-    let options = GalleryOptions { width: 60, height: 60, views: 24, points: 600, seed: 3 };
-    let plain = genesplat_gallery::generate(&options);
+    let plain = PLAIN.clone();
     let mut damaged = plain.clone();
     for (index, view) in damaged.views.iter_mut().enumerate() {
         let (photo, gain) = (view.photo.read().unwrap(), gain(index));
@@ -157,8 +160,22 @@ fn a_white_background_has_no_exposure() {
 }
 
 #[test]
+fn corners_that_a_lens_shows_darker_come_back() {
+    let (mut scene, _) = gallery(put);
+    for view in &mut scene.train {
+        let shade = Shade { factors: [1.0; 3], fall_off: -0.25 };
+        view.photo = shade.of_photo(&view.photo.read().unwrap(), &view.camera).into();
+    }
+    let exposure = estimate(&scene).unwrap().unwrap();
+    assert!((exposure.fall_off + 0.25).abs() < 0.06, "{}", exposure.fall_off);
+    let plain = estimate(&gallery(put).0).unwrap().unwrap();
+    assert!(plain.fall_off > -0.08, "{}", plain.fall_off);
+    assert!(exposure.told().contains(" % darker; renders show the mean"), "{}", exposure.told());
+}
+
+#[test]
 fn whites_that_are_clipped_do_not_mislead() {
-    let gain = |index: usize| [if index % 2 == 0 { 1.7 } else { 0.9 }; 3];
+    let gain = |index: usize| [if index.is_multiple_of(2) { 1.7 } else { 0.9 }; 3];
     let exposure = estimate(&gallery(gain).0).unwrap().unwrap();
     let of = |index: usize| exposure.photos[&format!("gallery_{index:03}.png")][0];
     for pair in [1, 9, 17] {

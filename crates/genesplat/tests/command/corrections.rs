@@ -6,6 +6,10 @@ use std::path::Path;
 use genesplat::core::Photo;
 use genesplat::gallery::{self, Gallery, GalleryOptions};
 
+#[cfg(unix)]
+use crate::resume::signal;
+#[cfg(unix)]
+use crate::support::command;
 use crate::support::{cloud, fail, json, number, run, scene, succeed, text, train};
 
 /// A gallery whose photos were taken with these gains, with tracks.
@@ -124,4 +128,21 @@ fn mistakes_about_corrections_are_sentences() {
     write_scene(&scene, damage);
     let white = ["--corrections", "on", "--background", "white"];
     fail(train(&scene, &out, &white), &["a white background has no exposure", "--corrections on"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_that_was_stopped_goes_on_at_the_exposure_that_it_began_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, whole, broken] = ["scene", "whole", "broken"].map(|name| folder.path().join(name));
+    write_scene(&scene, damage);
+    let steps = ["--iterations", "900", "--max-gaussians", "600"];
+    succeed(train(&scene, &whole, &steps));
+    let mut stopped = command(train(&scene, &broken, &steps));
+    let output = signal(&mut stopped, &broken, r#""event":"step""#, "-INT");
+    assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
+    let other = [&steps[..], &["--resume", "--corrections", "off"]].concat();
+    fail(train(&scene, &broken, &other), &["dataset.corrections is auto there and off here"]);
+    succeed(train(&scene, &broken, &["--resume"]));
+    assert!(cloud(&whole) == cloud(&broken), "as if it had never been stopped");
 }
