@@ -30,8 +30,8 @@ pub(crate) const ALL: [(&str, Target); 29] = [
     ("cameras-txt", |bytes| drop(said(bytes::cameras(Form::Text, bytes)))),
     ("images-bin", |bytes| drop(said(bytes::images(Form::Binary, bytes)))),
     ("images-txt", |bytes| drop(said(bytes::images(Form::Text, bytes)))),
-    ("points-bin", |bytes| drop(said(bytes::points(Form::Binary, bytes)))),
-    ("points-txt", |bytes| drop(said(bytes::points(Form::Text, bytes)))),
+    ("points-bin", |bytes| points(Form::Binary, bytes)),
+    ("points-txt", |bytes| points(Form::Text, bytes)),
     ("lenses", lenses),
     ("transforms", |bytes| drop(said(bytes::transforms(bytes)))),
     ("photos", |bytes| drop(said(bytes::photo(bytes, PHOTO_PIXELS_MAX)))),
@@ -84,6 +84,14 @@ pub(crate) const TOKEN: &str = "5e1f";
 /// What was read, or nothing, once the reason is said.
 fn said<T>(read: Result<T, impl std::fmt::Display>) -> Option<T> {
     read.map_err(|error| assert!(!error.to_string().trim().is_empty(), "an error says something")).ok()
+}
+
+/// Points, and tracks of as many.
+fn points(form: Form, bytes: &[u8]) {
+    let (points, tracks) = (said(bytes::points(form, bytes)), said(bytes::tracks(form, bytes)));
+    if let (Some(points), Some(tracks)) = (points, tracks) {
+        assert_eq!(points.len(), tracks.len());
+    }
 }
 
 /// What is unpacked is no more than is likely, and every name is one file's.

@@ -1,7 +1,7 @@
 //! The cloud of Gaussians, structure of arrays, and Adam's moments in the same shape.
 
 use crate::genes::{Genes, SparseDelta};
-use crate::spherical_harmonics::{SH_DEGREE_MAX, SH_STRIDE, coefficients};
+use crate::spherical_harmonics::{C0, SH_DEGREE_MAX, SH_STRIDE, coefficients};
 
 /// A cloud of `N` Gaussians; all parameters raw (before activation).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -31,6 +31,18 @@ impl Gaussians {
     /// `N`.
     pub fn len(&self) -> usize {
         self.positions.len()
+    }
+
+    /// The same with all colours, seen from anywhere, this many times as bright.
+    pub fn at_brightness(&self, factor: f32) -> Self {
+        let mut cloud = self.clone();
+        let shift = (factor - 1.0) * 0.5 / C0 as f32;
+        for sh in &mut cloud.sh {
+            sh.iter_mut().for_each(|value| *value *= factor);
+            // A colour is 0.5 and more where its harmonics are 0.
+            sh[..3].iter_mut().for_each(|value| *value += shift);
+        }
+        cloud
     }
 
     /// True for a cloud without Gaussians.
@@ -262,6 +274,26 @@ pub fn limited_opacity(logit: f32, dimming: f32, ceiling: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_brighter_cloud_has_brighter_colours_from_everywhere() {
+        let mut cloud = Gaussians::zeros(1);
+        cloud.sh[0] = std::array::from_fn(|at| (at as f32 * 0.7).sin());
+        let bright = cloud.at_brightness(1.7);
+        for direction in [[0.0, 0.0, 1.0], [0.6, -0.48, 0.64]] {
+            let basis = crate::spherical_harmonics::basis(SH_DEGREE_MAX, direction);
+            let colour = |cloud: &Gaussians, channel: usize| {
+                let terms =
+                    basis.iter().enumerate().map(|(at, b)| b * f64::from(cloud.sh[0][3 * at + channel]));
+                0.5 + terms.sum::<f64>()
+            };
+            for channel in 0..3 {
+                let (dark, bright) = (colour(&cloud, channel), colour(&bright, channel));
+                assert!((bright - 1.7 * dark).abs() < 1e-6, "{dark} {bright}");
+            }
+        }
+        assert_eq!(cloud.at_brightness(1.0), cloud);
+    }
 
     /// With f = s on all axes, `s' = s √2` and `o' = o / 2^1.5`; what f32 takes for opaque stays finite.
     #[test]

@@ -75,6 +75,17 @@ impl Image {
         [self.planes[at], self.planes[pixels + at], self.planes[2 * pixels + at]]
     }
 
+    /// Multiplies red, green and blue by these.
+    pub fn scale(&mut self, factors: [f32; 3]) {
+        if factors == [1.0; 3] {
+            return;
+        }
+        let pixels = self.width as usize * self.height as usize;
+        for (plane, factor) in self.planes.chunks_exact_mut(pixels.max(1)).zip(factors) {
+            plane.iter_mut().for_each(|value| *value *= factor);
+        }
+    }
+
     /// As 8-bit: clamped, `× 255 + 0.5`, truncated (what the reference evaluation writes and measures).
     pub fn to_photo(&self) -> Photo {
         let pixels = self.width as usize * self.height as usize;

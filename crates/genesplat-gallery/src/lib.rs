@@ -52,6 +52,8 @@ pub struct Gallery {
     pub views: Vec<View>,
     /// Points that at least three views see.
     pub points: Vec<Point>,
+    /// The places of the points that each view sees, rising.
+    pub seen: Vec<Vec<u32>>,
 }
 
 /// Builds the room and photographs it.
@@ -73,8 +75,13 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
             mask: None,
         })
         .collect();
-    let points = points::sample(&caster, &views, points, seed);
-    Gallery { views, points }
+    let (points, seen_by): (Vec<_>, Vec<_>) =
+        points::sample(&caster, &views, points, seed).into_iter().unzip();
+    let mut seen = vec![Vec::new(); views.len()];
+    for (point, views) in (0u32..).zip(seen_by) {
+        views.into_iter().for_each(|view| seen[view].push(point));
+    }
+    Gallery { views, points, seen }
 }
 
 /// Of as many digits as the last one has, so that names sort as numbers do.
@@ -94,6 +101,8 @@ const MODEL: &str = "sparse/0";
 impl Gallery {
     /// As a scene, without files.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
+        let names = self.views.iter().map(|view| view.name.clone());
+        let seen = names.zip(self.seen).collect();
         let (train, test) = hold_out.split(self.views);
         let digests = SceneDigests::of_views([&train, &test], &self.points);
         let (photos, notices) = (Vec::new(), Vec::new());
@@ -102,6 +111,7 @@ impl Gallery {
             train,
             test,
             points: self.points,
+            seen,
             photos,
             digests,
             notices,

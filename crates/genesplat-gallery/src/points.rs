@@ -22,17 +22,16 @@ const ERROR: f32 = 0.5 / 300.0;
 /// A camera sees a point if nothing lies before it, up to this many metres.
 const TOLERANCE: f32 = 0.01;
 
-/// At most `wanted` points.
-pub(crate) fn sample(caster: &RayCaster, views: &[View], wanted: u32, seed: u64) -> Vec<Point> {
+/// At most `wanted` points, and the places of the views that see each.
+pub(crate) fn sample(caster: &RayCaster, views: &[View], wanted: u32, seed: u64) -> Vec<(Point, Vec<usize>)> {
     let rng = Rng::new(seed);
     let candidates = (0..wanted.saturating_mul(CANDIDATES)).into_par_iter();
-    let mut points: Vec<Point> =
-        candidates.filter_map(|index| candidate(caster, views, &rng, index)).collect();
+    let mut points: Vec<_> = candidates.filter_map(|index| candidate(caster, views, &rng, index)).collect();
     points.truncate(wanted as usize);
     points
 }
 
-fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Option<Point> {
+fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Option<(Point, Vec<usize>)> {
     let draw = rng.at(Stream::Gallery, 0, index, 0);
     let view = &views[draw.below(0, views.len() as u32) as usize];
     // A pixel with neighbours on all sides.
@@ -46,15 +45,17 @@ fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Optio
     // Features on mirrors and lamps do not stay in place from view to view.
     let stays = matches!(caster.world.surfaces[hit.surface].finish, Finish::Matte | Finish::Coated { .. });
     let point = ray.at(hit.distance);
-    if !stays
-        || views.iter().filter(|view| sees(caster, &view.camera, point)).take(VIEWS_MIN).count() < VIEWS_MIN
-    {
+    if !stays {
+        return None;
+    }
+    let seen: Vec<usize> = (0..views.len()).filter(|&at| sees(caster, &views[at].camera, point)).collect();
+    if seen.len() < VIEWS_MIN {
         return None;
     }
     let (noise, more) = (rng.at(Stream::Gallery, 1, index, 0), rng.at(Stream::Gallery, 1, index, 1));
     let [[a, b], [c, _]] = [noise.normals(0), more.normals(0)];
     let position = point + ERROR * hit.distance * Vec3::new(a, b, c);
-    Some(Point { position: position.into(), rgb: photo.pixel(x, y) })
+    Some((Point { position: position.into(), rgb: photo.pixel(x, y) }, seen))
 }
 
 /// Largest difference of a channel to the four neighbours.

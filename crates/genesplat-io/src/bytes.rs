@@ -36,6 +36,11 @@ pub fn points(form: Form, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
     Ok(colmap::parse_points(form, NAME.as_ref(), bytes, Offset::default())?.records)
 }
 
+/// COLMAP's tracks: the photos that see each point, by their ids.
+pub fn tracks(form: Form, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
+    Ok(colmap::parse_tracks(form, NAME.as_ref(), bytes)?.points().map(<[u32]>::to_vec).collect())
+}
+
 /// A `transforms.json`.
 pub fn transforms(bytes: &[u8]) -> Result<Vec<Camera>, SceneError> {
     transforms::parse_cameras(NAME.as_ref(), bytes)

@@ -25,6 +25,9 @@ pub enum SceneError {
         /// Why.
         source: io::Error,
     },
+    /// A photo that was put into a file is not there any more.
+    #[error(transparent)]
+    PhotoLost(#[from] genesplat_core::PhotoLost),
     /// A folder of no known form.
     #[error(
         "{} is not a scene that genesplat knows: expected a COLMAP model in sparse/0 (cameras, images and points3D \

@@ -34,7 +34,7 @@ pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
     Doubt, HoldOut, LoadOptions, LoadProgress, MaskUse, Masks, PhotoDigests, Point, SIDE_MIN_PX, Scene,
     SceneDigests, SceneList, ScenePhoto, Spill, blocks, list_scene, load_points, load_scene, mask_beside,
-    model_of, scene_digests,
+    model_of, replace_photos, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};

@@ -43,6 +43,7 @@ pub(crate) struct Listing {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wanted {
     pub(crate) points: bool,
+    pub(crate) tracks: bool,
     pub(crate) masks: bool,
     pub(crate) frame: Frame,
 }
@@ -83,6 +84,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) purpose: Purpose,
     /// A picture that is black where the photo does not count.
     pub(crate) mask: Option<PathBuf>,
+    /// The points that it sees, by their places, rising; none where that is not known or not asked for.
+    pub(crate) seen: Vec<u32>,
 }
 
 /// What a scene may say that a photo is for.

@@ -3,6 +3,7 @@
 //! The convention of the published numbers: render and photo are both 8-bit, a metric is taken for each image
 //! over all pixels and channels, and the scene's value is the mean over its images.
 
+mod colour_fit;
 mod evaluate;
 pub mod lpips;
 mod psnr;
@@ -11,6 +12,7 @@ pub mod weights;
 
 use genesplat_core::Photo;
 
+pub use colour_fit::cc_psnr;
 pub use evaluate::{Evaluation, ViewScore, compare, evaluate};
 pub use lpips::Lpips;
 pub use psnr::{PSNR_MAX_DB, psnr, psnr_of_mean, psnr_under};

@@ -2,16 +2,29 @@
 
 use genesplat_io::{Digest, PhotoDigests, Scene};
 
+use crate::exposure::Exposure;
 use crate::inputs::Inputs;
 use crate::settings::Settings;
 
 /// What digests are of, in their order.
-pub(crate) const PARTS: [&str; 4] =
-    ["another version of genesplat", "other settings", "other cameras or points", "other photos"];
+pub(crate) const PARTS: [&str; 5] = [
+    "another version of genesplat",
+    "other settings",
+    "other cameras or points",
+    "other photos",
+    "photos of another exposure",
+];
 
 /// A digest of each of [`PARTS`], of what a run keeps to know its inputs again.
-pub(crate) fn digests(settings: &Settings, scene: &Scene) -> [Digest; PARTS.len()] {
-    let Inputs { settings: of_result, scene, .. } = Inputs::of(settings, scene);
+pub(crate) fn digests(
+    settings: &Settings,
+    scene: &Scene,
+    exposure: Option<&Exposure>,
+) -> [Digest; PARTS.len()] {
+    let Inputs { settings: of_result, scene, exposure, .. } = Inputs::of(settings, scene, exposure);
+    let gains = exposure.into_iter().flat_map(|exposure| {
+        exposure.photos.into_values().flatten().chain([exposure.dark, exposure.fall_off])
+    });
     let checkpoint_every = settings.schedule.config().checkpoint_every;
     let of_photos =
         |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
@@ -27,6 +40,7 @@ pub(crate) fn digests(settings: &Settings, scene: &Scene) -> [Digest; PARTS.len(
         format!("{of_result}\n{checkpoint_every}").into_bytes(),
         [of_photos(&camera), points].concat(),
         of_photos(&photo),
+        gains.flat_map(f32::to_le_bytes).collect(),
     ]
     .map(|part| Digest::of(&part))
 }
@@ -51,7 +65,7 @@ mod tests {
                 change(&mut config, &mut gallery);
             }
             let scene = gallery.into_scene(HoldOut::EveryEighth);
-            digests(&config.resolve(Machine::default()).unwrap(), &scene)
+            digests(&config.resolve(Machine::default()).unwrap(), &scene, None)
         };
         let [before, after] = [false, true].map(of);
         (0..PARTS.len()).filter(|&part| before[part] != after[part]).collect()
@@ -71,5 +85,22 @@ mod tests {
             swap(&mut one.photo, &mut other.photo);
         };
         assert_eq!(changed(|_, gallery| exchange(gallery)), [3]);
+    }
+
+    #[test]
+    fn ranks_whose_photos_have_other_gains_are_told_apart() {
+        let scene = small_scene::gallery().into_scene(HoldOut::EveryEighth);
+        let settings = ConfigFile::of_scene("scene".into(), Default::default());
+        let settings = settings.resolve(Machine::default()).unwrap();
+        let of = |gain: f32| {
+            let photos = [("gallery_001.png".to_owned(), [gain, 1.0, 1.0])].into();
+            digests(
+                &settings,
+                &scene,
+                Some(&Exposure { stops: 0.5, explained: 0.3, photos, dark: 0.8, fall_off: 0.0 }),
+            )
+        };
+        let (one, other) = (of(1.1), of(1.2));
+        assert!(one[..4] == other[..4] && one[4] != other[4] && one == of(1.1));
     }
 }

@@ -7,13 +7,14 @@ use std::fmt::Display;
 use std::io::{BufReader, ErrorKind};
 use std::path::Path;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
 use genesplat_io::{Offset, PhotoDigests, Scene, SceneDigests, input, shown};
 use genesplat_train::Checkpoint;
 use serde::{Deserialize, Serialize};
 
 use super::session::Caller;
 use super::{CHECKPOINT, CONFIG, INPUTS, photos};
+use crate::exposure::Exposure;
 use crate::output;
 use crate::settings::{Settings, difference_of_results};
 
@@ -24,15 +25,20 @@ pub struct Inputs {
     pub settings: String,
     /// Its photos, masks, cameras and points.
     pub scene: SceneDigests,
+    /// That of its photos, where they were brought to one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<Exposure>,
     /// What has changed meanwhile, and was accepted when the run was resumed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     accepted: Vec<String>,
 }
 
 impl Inputs {
-    /// Those of a run with these settings on `scene`.
-    pub fn of(settings: &Settings, scene: &Scene) -> Self {
-        Self { settings: settings.of_result(), scene: scene.digests.clone(), accepted: Vec::new() }
+    /// Those of a run with these settings on `scene`, whose training photos were brought to one exposure
+    /// where there is an `exposure`.
+    pub fn of(settings: &Settings, scene: &Scene, exposure: Option<&Exposure>) -> Self {
+        let (settings, scene) = (settings.of_result(), scene.digests.clone());
+        Self { settings, scene, exposure: exposure.cloned(), accepted: Vec::new() }
     }
 
     /// As `inputs.json` holds it.
@@ -112,6 +118,12 @@ pub fn check_goes_on(
             CONFIG
         );
     }
+    ensure!(
+        began.exposure == now.exposure,
+        "the run in {} began with photos of another exposure; {}",
+        shown(folder),
+        advice(caller)
+    );
     now.accepted.clone_from(&began.accepted);
     let changes = Changes::between(&began.scene, &now.scene);
     let Some(change) = changes.told(folder, name) else { return Ok(()) };
@@ -311,9 +323,20 @@ mod tests {
     fn a_damaged_file_is_a_sentence_and_a_missing_one_is_none() {
         let folder = tempfile::tempdir().unwrap();
         assert!(Inputs::read(folder.path()).unwrap().is_none());
-        let inputs = Inputs { settings: "seed = 1".into(), scene: digests(), accepted: Vec::new() };
-        fs::write(folder.path().join(INPUTS), inputs.to_json()).unwrap();
-        assert_eq!(Inputs::read(folder.path()).unwrap(), Some(inputs));
+        let gain = [0.1, 1.0 / 3.0, 1.7];
+        let exposure = Exposure {
+            stops: 0.53,
+            explained: 0.351,
+            photos: [("a.png".to_owned(), gain)].into(),
+            dark: 0.7,
+            fall_off: -0.1,
+        };
+        for exposure in [None, Some(exposure)] {
+            let (settings, scene) = ("seed = 1".into(), digests());
+            let inputs = Inputs { settings, scene, exposure, accepted: Vec::new() };
+            fs::write(folder.path().join(INPUTS), inputs.to_json()).unwrap();
+            assert_eq!(Inputs::read(folder.path()).unwrap(), Some(inputs));
+        }
         fs::write(folder.path().join(INPUTS), "{\"settings\": 1}").unwrap();
         let error = Inputs::read(folder.path()).unwrap_err().to_string();
         assert!(error.contains("inputs.json is damaged"), "{error}");

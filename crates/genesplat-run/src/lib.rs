@@ -26,6 +26,7 @@
 pub mod cluster;
 pub mod device;
 mod digest;
+pub mod exposure;
 mod failure;
 pub mod files;
 pub mod follow;

@@ -9,6 +9,8 @@ use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use super::METRICS;
+use crate::exposure::Exposure;
+use crate::score::Scores;
 
 /// One part of a scene's photos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -59,6 +61,9 @@ pub struct Metrics {
     pub test: Evaluation,
     /// Photos that it saw; none for a run that was stopped.
     pub train: Evaluation,
+    /// Where photos were brought to one exposure: how `test` is to be read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<ExposureFigures>,
     /// Where the time went.
     pub seconds: PhaseSeconds,
     /// Most memory held at once; `null` where the system does not tell.
@@ -67,6 +72,37 @@ pub struct Metrics {
     /// One entry an evolution stage.
     #[serde(skip_deserializing)]
     pub evolution: Vec<StageRecord>,
+}
+
+/// Figures of a run whose photos were brought to one exposure. The photos that it is measured on are as they
+/// were taken.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExposureFigures {
+    /// Standard deviation of the training photos' exposure, stops.
+    pub stops: f32,
+    /// Share of what shared points differ by that it explains.
+    pub explained: f32,
+    /// PSNR of test photos against renders as they are, at the mean exposure of training photos, dB.
+    pub test_psnr_raw: Option<f64>,
+    /// PSNR of test photos against renders at each photo's exposure, as the points say that it shares with
+    /// training photos, dB: what `test.psnr` is. No render is looked at for it.
+    pub test_psnr_at_track_exposure: Option<f64>,
+    /// PSNR of test photos after a fit of each render's colours to its photo, dB.
+    pub test_cc_psnr: Option<f64>,
+}
+
+impl ExposureFigures {
+    /// Those of test photos with these scores.
+    pub fn of(exposure: &Exposure, test: &Scores) -> Self {
+        let finite = |psnr: f64| Some(psnr).filter(|psnr| psnr.is_finite());
+        Self {
+            stops: exposure.stops,
+            explained: exposure.explained,
+            test_psnr_raw: test.as_rendered.as_ref().and_then(|scores| finite(scores.psnr)),
+            test_psnr_at_track_exposure: finite(test.scores.psnr),
+            test_cc_psnr: finite(test.cc_psnr),
+        }
+    }
 }
 
 /// Wall-clock seconds of a run, which may have been resumed: each says what it counts then.

@@ -40,6 +40,8 @@ pub struct Reporter<'a> {
     /// Of the last photo, and of the test photos, dB.
     quality: (Option<f32>, Option<f64>),
     trouble: Option<anyhow::Error>,
+    /// By what factor the cloud is shown brighter than it is.
+    brightness: f32,
 }
 
 impl<'a> Reporter<'a> {
@@ -70,7 +72,13 @@ impl<'a> Reporter<'a> {
             gaussians: 0,
             quality: (None, None),
             trouble: None,
+            brightness: 1.0,
         }
+    }
+
+    /// Shows the cloud this many times as bright.
+    pub(crate) fn show_at(&mut self, brightness: f32) {
+        self.brightness = brightness;
     }
 
     pub(crate) fn into_result(self) -> Result<()> {
@@ -228,6 +236,7 @@ impl Observer for Reporter<'_> {
     }
 
     fn on_renders(&mut self, iteration: u32, renderer: &mut CloudRenderer<'_>) {
+        renderer.show_at(self.brightness);
         self.score_test_photos(iteration, renderer);
         let session = self.run.map(|(session, _)| session);
         if let Some(live) = &mut self.live {

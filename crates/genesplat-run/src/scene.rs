@@ -9,6 +9,7 @@ use genesplat_core::View;
 use genesplat_io::{Doubt, LoadOptions, Offset, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
 use genesplat_train::scene::initialise::ColouredPoint;
 
+use crate::exposure::Corrections;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
@@ -31,7 +32,9 @@ pub fn load(
     spill: Option<Spill>,
     offset: Option<Offset>,
 ) -> Result<Scene> {
-    told(read(&dataset.path, background, LoadOptions { seed, spill, offset, ..dataset.options() }))
+    let with_tracks = dataset.corrections != Corrections::Off;
+    let options = LoadOptions { seed, spill, offset, with_tracks, ..dataset.options() };
+    told(read(&dataset.path, background, options))
 }
 
 /// The same to inspect: notices are the caller's to tell.

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::device::DeviceChoice;
+use crate::exposure::Corrections;
 use crate::session::check_is_run;
 use crate::{CONFIG, photos};
 
@@ -71,6 +72,8 @@ pub struct PhotosAsked {
     pub mask: Option<MaskUse>,
     /// Near plane of all cameras, world units.
     pub near: Option<f64>,
+    /// Whether photos are brought to one exposure.
+    pub corrections: Option<Corrections>,
 }
 
 impl PhotosAsked {
@@ -82,6 +85,7 @@ impl PhotosAsked {
         dataset.images = self.images.clone().or(dataset.images.take());
         dataset.mask = self.mask.unwrap_or(dataset.mask);
         dataset.near = self.near.or(dataset.near);
+        dataset.corrections = self.corrections.unwrap_or(dataset.corrections);
         if let Some(hold_out) = &self.hold_out {
             dataset.hold_out = hold_out.clone();
         }
@@ -145,6 +149,10 @@ pub struct Dataset {
     /// What masks and transparency mean: `usual`, `ignore`, `transparent` or `off`.
     #[serde(skip_serializing_if = "is_default")]
     pub mask: MaskUse,
+    /// Whether photos are brought to one exposure before training: `auto` (where the points that they share say
+    /// that it helps), `on` or `off`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub corrections: Corrections,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,
     /// `{ photos = ["a.jpg"] }`, `"none"`.
     #[serde(skip_serializing_if = "is_default")]
@@ -321,7 +329,11 @@ impl ConfigFile {
     /// A resumed run goes on with the settings that it began with, or its result would belong to neither.
     fn check_goes_on_with(&self, saved: &Self, out: &Path) -> Result<()> {
         let [there, here] = [saved, self].map(|file| result_settings(&file.dataset, &file.train));
-        if let Some(difference) = first_difference(&there, &here) {
+        let corrections = || {
+            let [there, here] = [saved, self].map(|file| file.dataset.corrections.name());
+            (there != here).then(|| format!("dataset.corrections is {there} there and {here} here"))
+        };
+        if let Some(difference) = first_difference(&there, &here).or_else(corrections) {
             bail!(
                 "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
                  another folder",
@@ -411,13 +423,14 @@ fn take<'a, T: Deserialize<'a>>(table: &mut Table, key: &str) -> Result<Option<T
     table.remove(key).map(Value::try_into).transpose()
 }
 
-/// What the result of a run depends on, besides its scene and the kind of its device.
+/// What the result of a run depends on, besides its scene, the kind of its device and the exposure of its
+/// photos: that is among what it begins with, once it is known.
 fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
     fn to_table(settings: &impl Serialize) -> Table {
         Table::try_from(settings).expect("settings are tables of numbers and text")
     }
     let mut table = to_table(&TrainConfig { checkpoint_every: 0, ..train.clone() });
-    let size = Dataset { path: "".into(), ..dataset.clone() };
+    let size = Dataset { path: "".into(), corrections: Corrections::default(), ..dataset.clone() };
     table.insert("dataset".into(), Value::Table(to_table(&size)));
     table
 }

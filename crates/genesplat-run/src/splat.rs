@@ -16,6 +16,7 @@ use genesplat_io::{
 use genesplat_train::Background;
 use glam::DVec3;
 
+use crate::exposure::Exposure;
 use crate::files::{unwritable, write_file};
 use crate::inputs::{Inputs, notice_changes};
 use crate::output;
@@ -37,8 +38,8 @@ pub struct Splat {
     pub step: f64,
     /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
     trained_on: Option<Dataset>,
-    /// The folder of its run, and the scene that the run began with, as far as that is known.
-    began_with: Option<(PathBuf, SceneDigests)>,
+    /// The folder of its run, and what the run began with, as far as that is known.
+    began_with: Option<(PathBuf, Inputs)>,
 }
 
 impl Splat {
@@ -62,17 +63,27 @@ impl Splat {
         }
     }
 
-    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise.
+    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise; their
+    /// exposure is their own.
     ///
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
-        let scene = self.load_scene_to_train(data, asked)?;
+        let scene = self.load(data, asked)?;
         scene.doubts.iter().for_each(|doubt| output::tell(&format!("notice: {}", doubt.problem)));
         Ok(scene)
     }
 
-    /// The same, without a word about its doubts.
+    /// The same, without a word about its doubts, and with training photos at the exposure that training sees,
+    /// if the run brought them to it.
     pub fn load_scene_to_train(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
+        let mut scene = self.load(data, asked)?;
+        if let Some(exposure) = self.exposure(&scene, asked) {
+            exposure.bring(&mut scene, None)?;
+        }
+        Ok(scene)
+    }
+
+    fn load(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
         let load = |offset| scene::load_to_look(&dataset, divisor, self.settings.background, offset);
         let scene = match load(self.frame().or(Some(Offset::default()))) {
@@ -83,7 +94,7 @@ impl Splat {
         let began_with = self.began_with.as_ref().filter(|_| asked.images.is_none());
         began_with
             .into_iter()
-            .for_each(|(folder, began)| notice_changes(began, folder, &scene.digests, &scene.name));
+            .for_each(|(folder, began)| notice_changes(&began.scene, folder, &scene.digests, &scene.name));
         Ok(scene)
     }
 
@@ -102,11 +113,21 @@ impl Splat {
         sampled.map_err(|error| gone(&error)).ok()
     }
 
+    /// The exposure of those photos of `scene` that its run began with, if it brought its photos to one: that
+    /// of a splat's renders. Photos of another folder are known by their names.
+    pub fn exposure(&self, scene: &Scene, asked: &PhotosAsked) -> Option<Exposure> {
+        let (_, began) = self.began_with.as_ref()?;
+        let digest = |scene: &SceneDigests, name: &str| scene.photo(name).map(|photo| photo.photo);
+        let is_known =
+            |name: &str| asked.images.is_some() || digest(&began.scene, name) == digest(&scene.digests, name);
+        Some(began.exposure.as_ref()?.only(is_known))
+    }
+
     /// Whether it is that of a run which began with a photo of this scene.
     pub fn began_with(&self, scene: &Scene) -> bool {
         self.began_with.as_ref().is_some_and(|(_, began)| {
             let now = |name: &str| scene.digests.photo(name).map(|digests| digests.photo);
-            began.photos.iter().any(|photo| now(&photo.name) == Some(photo.photo))
+            began.scene.photos.iter().any(|photo| now(&photo.name) == Some(photo.photo))
         })
     }
 
@@ -216,9 +237,8 @@ pub(crate) fn of_run(folder: &Path, cloud: Gaussians, step: f64) -> Result<Splat
         output::tell(&format!("notice: {error}"));
         None
     });
-    let scene = inputs.map(|inputs| inputs.scene);
-    let offset = scene.as_ref().and_then(|scene| scene.offset);
-    let began_with = scene.map(|scene| (folder.to_owned(), scene));
+    let offset = inputs.as_ref().and_then(|inputs| inputs.scene.offset);
+    let began_with = inputs.map(|inputs| (folder.to_owned(), inputs));
     Ok(Splat { cloud, settings, offset, step, trained_on: Some(config.dataset), began_with })
 }
 

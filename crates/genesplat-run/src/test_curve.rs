@@ -6,18 +6,21 @@ use anyhow::Result;
 use genesplat_core::{CloudRenderer, View};
 use genesplat_metrics::psnr_under;
 
+use crate::exposure::{Exposure, Light, Shade};
+
 const POINTS: u32 = 12;
 
 pub(crate) struct TestCurve<'a> {
     views: &'a [View],
+    exposure: Option<&'a Exposure>,
     every: u32,
 }
 
 impl<'a> TestCurve<'a> {
-    /// For a run of `iterations`; `None` where no photo was held out.
-    pub(crate) fn new(views: &'a [View], iterations: u32) -> Option<Self> {
+    /// For a run of `iterations`, on renders at the exposure of each photo; `None` where no photo was held out.
+    pub(crate) fn new(views: &'a [View], exposure: Option<&'a Exposure>, iterations: u32) -> Option<Self> {
         let every = iterations.div_ceil(POINTS).max(1);
-        (!views.is_empty()).then_some(Self { views, every })
+        (!views.is_empty()).then_some(Self { views, exposure, every })
     }
 
     pub(crate) fn is_due(&self, iteration: u32) -> bool {
@@ -28,8 +31,10 @@ impl<'a> TestCurve<'a> {
     pub(crate) fn score(&self, renderer: &mut CloudRenderer<'_>) -> Result<Option<f64>> {
         let mut sum = 0.0;
         for view in self.views {
-            let picture = renderer.render(&view.camera)?.to_photo();
-            sum += psnr_under(view.mask.as_deref(), &picture, &*view.photo.read()?)?;
+            let mut image = renderer.render(&view.camera)?;
+            let shade = self.exposure.map(|exposure| Light::finished(exposure).of_photo(&view.name));
+            shade.unwrap_or(Shade::NONE).put_on(&mut image, &view.camera);
+            sum += psnr_under(view.mask.as_deref(), &image.to_photo(), &*view.photo.read()?)?;
         }
         let mean = sum / self.views.len() as f64;
         Ok(mean.is_finite().then_some(mean))

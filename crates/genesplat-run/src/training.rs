@@ -14,20 +14,21 @@ use genesplat_viewer::{Address, LiveView, Phase};
 
 use super::inputs::Inputs;
 use super::log::Log;
-use super::metrics::{Metrics, PhaseSeconds};
+use super::metrics::{ExposureFigures, Metrics, PhaseSeconds};
 use super::session::{Caller, RunSession, read_checkpoint};
 use super::tensorboard::TensorBoard;
 use super::test_curve::TestCurve;
 use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
+use crate::exposure::{Exposure, Light};
 use crate::live::Showing;
 use crate::output;
 use crate::output::Bar;
 use crate::report::curves::Curves;
 use crate::report::run::RunPage;
 use crate::reporter::Reporter;
-use crate::score::evaluate_until;
+use crate::score::{Scores, evaluate_until};
 use crate::settings::Settings;
 use crate::{cluster, device, live, overwrite, scene};
 
@@ -37,6 +38,8 @@ pub struct Run<'a> {
     pub settings: &'a Settings,
     /// What it is trained on.
     pub scene: &'a Scene,
+    /// That to which its training photos have been brought, if they have.
+    pub exposure: Option<&'a Exposure>,
     /// What LPIPS is measured with, if it is.
     pub lpips: Option<&'a Lpips>,
     /// Set by Ctrl-C and SIGTERM.
@@ -94,7 +97,7 @@ impl Run<'_> {
 
     fn check(&self, session: &mut RunSession) -> Result<Device> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
-        let mut now = Inputs::of(self.settings, self.scene);
+        let mut now = Inputs::of(self.settings, self.scene, self.exposure);
         if session.resumes() {
             let (name, caller) = (&self.scene.name, session.caller());
             inputs::check_goes_on(session.path(), &mut now, name, caller, self.accepts_changes)?;
@@ -135,14 +138,18 @@ impl Run<'_> {
         };
         let Self { settings, scene, stop, .. } = *self;
         let schedule = &settings.schedule;
-        let curve = TestCurve::new(&scene.test, schedule.iterations);
+        let curve = TestCurve::new(&scene.test, self.exposure, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
+        let brightness = self.exposure.map_or(1.0, |exposure| 1.0 / exposure.dark);
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked);
+        reporter.show_at(brightness);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
         let owners = cluster::owners(self.cluster);
         let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(*saved, owners));
+        // A copy only where there is another exposure.
+        let cloud = if brightness == 1.0 { cloud } else { cloud.at_brightness(brightness) };
         session.write_cloud(&cloud, schedule.render_settings().filter, owners)?;
         saved?;
         drop(cloud);
@@ -193,7 +200,7 @@ impl Run<'_> {
     fn metrics(
         &self,
         summary: RunSummary,
-        (test, train): (Evaluation, Evaluation),
+        (test, train): (Scores, Evaluation),
         seconds: PhaseSeconds,
     ) -> Metrics {
         let config = self.settings.schedule.config();
@@ -205,7 +212,8 @@ impl Run<'_> {
             seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
-            test,
+            exposure: self.exposure.map(|exposure| ExposureFigures::of(exposure, &test)),
+            test: test.scores,
             train,
             seconds,
             peak_memory_bytes: memory::peak_bytes(),
@@ -224,6 +232,7 @@ impl Run<'_> {
             }
             curves.notices.push(notice);
         }
+        curves.notices.extend(self.exposure.map(Exposure::told));
         let page = self.report(session.path(), metrics, curves)?;
         session.write_results(&page, metrics)
     }
@@ -235,7 +244,7 @@ impl Run<'_> {
         session: &RunSession,
         device: &mut Device,
         summary: &RunSummary,
-    ) -> Result<Option<(Evaluation, Evaluation)>> {
+    ) -> Result<Option<(Scores, Evaluation)>> {
         // Who stops a run waits for it, so few figures are taken, which must not be stopped by what stopped
         // the run.
         let never = AtomicBool::new(false);
@@ -245,14 +254,16 @@ impl Run<'_> {
         };
         let settings = self.settings.schedule.render_settings();
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
-        let mut score = |views: &[View], folder: Option<&Path>| {
+        let light = self.exposure.map(Light::in_training);
+        let mut score = |views: &[View], light: Option<Light<'_>>, folder: Option<&Path>| {
             let bar = bar("scores", 0, views.len() as u64);
-            evaluate_until(stop, device, views, &settings, lpips, folder, bar)
+            evaluate_until(stop, device, views, &settings, (lpips, light), folder, bar)
         };
-        let Some(test) = score(&self.scene.test, session.writes().then_some(session.path()))? else {
+        let folder = session.writes().then_some(session.path());
+        let Some(test) = score(&self.scene.test, light, folder)? else {
             return Ok(None);
         };
-        Ok(score(train, None)?.map(|train| (test, train)))
+        Ok(score(train, light.map(Light::brought), None)?.map(|train| (test, train.scores)))
     }
 
     fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {

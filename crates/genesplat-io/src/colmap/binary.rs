@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::check::{self, Finite, Judged};
 use super::cursor::Cursor;
+use super::tracks::Tracks;
 use super::{ImageRecord, models};
 use crate::error::SceneError;
 use crate::offset::Offset;
@@ -47,20 +48,28 @@ fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Judged), SceneError>
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("photos", IMAGE_BYTES)?;
-    let images = check::images(file, (0..count).map(|_| image(&mut cursor)))?;
+    let images = check::images(file, (0..count).map(|_| image(&mut cursor).map(|(_, image)| image)))?;
     cursor.end("photos").map(|()| images)
 }
 
-fn image(cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
+/// The ids and names of the photos in `images.bin`.
+pub(super) fn photo_ids(file: &Path, bytes: &[u8]) -> Result<Vec<(u32, String)>, SceneError> {
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("photos", IMAGE_BYTES)?;
+    (0..count).map(|_| image(&mut cursor).map(|(id, image)| (id, image.name))).collect()
+}
+
+/// With its id.
+fn image(cursor: &mut Cursor) -> Result<(u32, ImageRecord), SceneError> {
     const RECORD: &str = "a photo's pose";
-    cursor.i32(RECORD)?;
+    let id = cursor.i32(RECORD)? as u32;
     let rotation = cursor.f64s(RECORD)?;
     let translation = cursor.f64s(RECORD)?;
     let camera = cursor.i32(RECORD)? as u32;
     let name = cursor.text("a photo's name")?.to_owned();
     let features = cursor.count("image features", FEATURE_BYTES)?;
     cursor.skip("a photo's features", features, FEATURE_BYTES)?;
-    Ok(ImageRecord { name, camera, rotation, translation })
+    Ok((id, ImageRecord { name, camera, rotation, translation }))
 }
 
 pub(super) fn points(file: &Path, bytes: &[u8], offset: Offset) -> Result<Finite<Point>, SceneError> {
@@ -71,12 +80,34 @@ pub(super) fn points(file: &Path, bytes: &[u8], offset: Offset) -> Result<Finite
 }
 
 fn point(cursor: &mut Cursor) -> Result<([f64; 3], [u8; 3]), SceneError> {
+    let (position, rgb, features) = point_and_features(cursor)?;
+    cursor.skip("a point's track", features, TRACK_BYTES)?;
+    Ok((position, rgb))
+}
+
+/// A point up to its track, and how many features that has.
+fn point_and_features(cursor: &mut Cursor) -> Result<([f64; 3], [u8; 3], usize), SceneError> {
     const RECORD: &str = "a point";
     cursor.u64(RECORD)?;
     let position = cursor.f64s(RECORD)?;
     let rgb = cursor.array(RECORD)?;
     cursor.f64s::<1>(RECORD)?;
-    let track = cursor.count("track entries", TRACK_BYTES)?;
-    cursor.skip("a point's track", track, TRACK_BYTES)?;
-    Ok((position, rgb))
+    Ok((position, rgb, cursor.count("track entries", TRACK_BYTES)?))
+}
+
+/// The tracks of `points3D.bin`, of the points whose positions are finite.
+pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
+    const RECORD: &str = "a point's track";
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("points", POINT_BYTES)?;
+    let mut tracks = Tracks::default();
+    for _ in 0..count {
+        let (position, _, features) = point_and_features(&mut cursor)?;
+        for _ in 0..features {
+            tracks.push_photo(cursor.i32(RECORD)? as u32);
+            cursor.i32(RECORD)?;
+        }
+        tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
+    }
+    cursor.end("points").map(|()| tracks)
 }

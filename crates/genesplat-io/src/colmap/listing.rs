@@ -1,11 +1,13 @@
 //! A model's photos, joined with their cameras and found on the disk.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
+use super::tracks::read_seen;
 use super::{
     Finite, ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_photos, read_points,
 };
@@ -44,14 +46,10 @@ impl PhotoFolder {
     }
 }
 
-/// Lists the photos and, if they are wanted, the points of the model in `folder`.
-pub(crate) fn list(
-    folder: &ModelFolder,
-    photos: &PhotoFolder,
-    wanted: Wanted,
-) -> Result<Listing, SceneError> {
+/// Lists the photos and, if they are wanted, the points and who sees them of the model in `folder`.
+pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) -> Result<Listing, SceneError> {
     let mut model = read_photos(folder)?;
-    model.images.iter_mut().for_each(|image| separate(&mut image.name, &photos.path));
+    model.images.iter_mut().for_each(|image| separate(&mut image.name, &given.path));
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
         return Err(no_photos(&list));
@@ -59,7 +57,7 @@ pub(crate) fn list(
     let mut notices = Vec::from_iter(other_models(&folder.path));
     let is_one_of_several = !notices.is_empty();
     notices.append(&mut model.notices);
-    let (image_folder, is_beside) = photos.settled(&model.images, &list);
+    let (image_folder, is_beside) = given.settled(&model.images, &list);
     if is_beside {
         notices.push(format!("the photos are those in {}, beside their list", shown(&image_folder)));
     }
@@ -69,10 +67,12 @@ pub(crate) fn list(
         notices.extend(left_out.as_ref().and_then(|left_out| left_out.notice(&list)));
     }
     let doubts = Vec::from_iter(left_out.and_then(|left_out| left_out.doubt(&list)));
+    let mut seen = if wanted.tracks { seen(folder, &given.path)? } else { BTreeMap::new() };
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
-        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None })
+        let seen = seen.remove(&name).unwrap_or_default();
+        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None, seen })
     };
     let mut photos = photos.into_iter().map(listed).collect::<Result<Vec<_>, SceneError>>()?;
     let moved = move_cameras(&mut photos, wanted.frame);
@@ -81,6 +81,15 @@ pub(crate) fn list(
     let (points, points_digest, points_file) = (points.records, None, points_file(folder));
     let has_points = if wanted.points { !points.is_empty() } else { has_points(&points_file) };
     Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts, moved })
+}
+
+/// The points that each photo sees, by its name.
+fn seen(folder: &ModelFolder, image_folder: &Path) -> Result<BTreeMap<String, Vec<u32>>, SceneError> {
+    let named = |(mut name, points): (String, Vec<u32>)| {
+        separate(&mut name, image_folder);
+        (name, points)
+    };
+    Ok(read_seen(folder)?.into_iter().map(named).collect())
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {

@@ -13,6 +13,7 @@ mod cursor;
 mod listing;
 mod models;
 mod text;
+mod tracks;
 mod write;
 
 use std::cmp::Reverse;
@@ -22,6 +23,7 @@ use std::path::{Path, PathBuf};
 
 pub(crate) use check::{Finite, Judged, points as finite_points};
 pub(crate) use listing::{PhotoFolder, list};
+pub(crate) use tracks::parse_tracks;
 pub use write::write_model;
 
 use glam::{DQuat, DVec3};

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::check::{self, Finite, Judged};
+use super::tracks::Tracks;
 use super::{ImageRecord, models};
 use crate::error::SceneError;
 use crate::offset::Offset;
@@ -14,6 +15,7 @@ const CAMERA: &str = "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS";
 const IMAGE: &str = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME";
 const FEATURES: &str = "the features of the photo above (X Y POINT3D_ID ..., or an empty line)";
 const POINT: &str = "POINT3D_ID X Y Z R G B ERROR TRACK";
+const TRACK: &str = "the track of a point as IMAGE_ID POINT2D_IDX pairs, after its ERROR";
 
 /// A line with its 1-based number.
 #[derive(Clone, Copy)]
@@ -106,13 +108,26 @@ fn camera(line: Line) -> Result<(u32, Judged), SceneError> {
 /// `images.txt`: a pose on one line, features on the next; of the latter it is only checked that they are
 /// features.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Finite<ImageRecord>, SceneError> {
+    check::images(file, each_image(file, bytes)?.map(|read| read.map(|(_, image)| image)))
+}
+
+/// The ids and names of the photos in `images.txt`; an id that COLMAP cannot have is that of no photo.
+pub(super) fn photo_ids(file: &Path, bytes: &[u8]) -> Result<Vec<(u32, String)>, SceneError> {
+    let named = |(id, image): (u64, ImageRecord)| u32::try_from(id).ok().map(|id| (id, image.name));
+    each_image(file, bytes)?.filter_map(|read| read.map(named).transpose()).collect()
+}
+
+/// With their ids.
+fn each_image<'a>(
+    file: &'a Path,
+    bytes: &'a [u8],
+) -> Result<impl Iterator<Item = Result<(u64, ImageRecord), SceneError>> + 'a, SceneError> {
     let mut lines = lines(file, bytes)?;
-    let next = || {
+    Ok(std::iter::from_fn(move || {
         let line = lines.find(|line| !line.text.trim().is_empty())?;
         let image = image(line);
         Some(lines.next().map_or(Ok(()), features).and(image))
-    };
-    check::images(file, std::iter::from_fn(next))
+    }))
 }
 
 /// Numbers in threes, or nothing: in a file without these lines, every other photo would be lost silently.
@@ -123,14 +138,14 @@ fn features(line: Line) -> Result<(), SceneError> {
     (are_numbers && count % 3 == 0).then_some(()).ok_or_else(|| line.error(FEATURES))
 }
 
-fn image(line: Line) -> Result<ImageRecord, SceneError> {
+fn image(line: Line) -> Result<(u64, ImageRecord), SceneError> {
     let mut fields = line.fields(IMAGE);
-    fields.next::<u64>()?;
+    let id = fields.next::<u64>()?;
     let rotation = fields.numbers()?;
     let translation = fields.numbers()?;
     let camera = fields.next()?;
     let name = rest_after(line.text, 9).ok_or_else(|| line.error(IMAGE))?.to_owned();
-    Ok(ImageRecord { name, camera, rotation, translation })
+    Ok((id, ImageRecord { name, camera, rotation, translation }))
 }
 
 /// What follows the first `count` words, which may itself hold spaces (a photo's name); `None` if nothing
@@ -149,7 +164,29 @@ pub(super) fn points(file: &Path, bytes: &[u8], offset: Offset) -> Result<Finite
 }
 
 fn point(line: Line) -> Result<([f64; 3], [u8; 3]), SceneError> {
+    let (position, rgb, _) = point_and_rest(line)?;
+    Ok((position, rgb))
+}
+
+/// A point up to its error, and what follows.
+fn point_and_rest(line: Line<'_>) -> Result<([f64; 3], [u8; 3], Fields<'_>), SceneError> {
     let mut fields = line.fields(POINT);
     fields.next::<u64>()?;
-    Ok((fields.numbers()?, fields.array()?))
+    Ok((fields.numbers()?, fields.array()?, fields))
+}
+
+/// The tracks of `points3D.txt`, of the points whose positions are finite; a point may have none.
+pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
+    let mut tracks = Tracks::default();
+    for line in lines(file, bytes)?.filter(|line| !line.text.trim().is_empty()) {
+        let (position, _, mut fields) = point_and_rest(line)?;
+        fields.words.next();
+        while let Some(photo) = fields.words.next() {
+            tracks.push_photo(photo.parse().map_err(|_| line.error(TRACK))?);
+            fields.expected = TRACK;
+            fields.next::<u32>()?;
+        }
+        tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
+    }
+    Ok(tracks)
 }

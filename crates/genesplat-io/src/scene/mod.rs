@@ -9,10 +9,12 @@ mod masks;
 mod place;
 pub(crate) mod precision;
 mod random_points;
+mod replaced;
 mod split;
 mod stray;
 mod view;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::ErrorKind;
 use std::num::NonZeroUsize;
@@ -26,6 +28,7 @@ pub use doubt::Doubt;
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use masks::{MaskUse, Masks, mask_beside};
 pub(crate) use random_points::Cube;
+pub use replaced::replace_photos;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
@@ -58,6 +61,9 @@ pub struct Scene {
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
+    /// The points that each photo sees, by the name of its view: their places in `points`, rising. Empty
+    /// where that is not known (COLMAP's tracks say it) or not asked for.
+    pub seen: BTreeMap<String, Vec<u32>>,
     /// Files of the photos, which must not be written over; empty for a scene that is not from a disk.
     pub photos: Vec<PathBuf>,
     /// What tells whether the scene is still what it was.
@@ -97,6 +103,8 @@ pub struct LoadOptions {
     /// What shall have been subtracted from all coordinates, world units; `None`: nothing, or, where the scene
     /// is far from its origin, what brings it there.
     pub offset: Option<Offset>,
+    /// Whether [`Scene::seen`] is loaded, too, with the points.
+    pub with_tracks: bool,
     /// Seed of the random points that a scene without points starts from.
     pub seed: u64,
     /// When and where photos are kept in a file; `None`: in memory, however many they are.
@@ -126,6 +134,7 @@ impl Default for LoadOptions {
             with_points: true,
             sample: None,
             offset: None,
+            with_tracks: false,
             seed: 0,
             spill: None,
         }
@@ -183,6 +192,7 @@ pub fn load_scene(
     if let Some(most) = options.sample {
         (train, test) = split::sample(train, test, most);
     }
+    let seen = seen([&mut train, &mut test]);
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
     let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
@@ -195,7 +205,14 @@ pub fn load_scene(
     }
     let digests = SceneDigests::of(digests, listing.points_digest).moved(listing.moved.offset);
     let (name, points, doubts) = (scene_name(path), listing.points, listing.doubts);
-    Ok(Scene { name, train, test, points, photos, digests, notices, doubts })
+    Ok(Scene { name, train, test, points, seen, photos, digests, notices, doubts })
+}
+
+/// The points that each of these photos sees, taken out of them.
+fn seen(photos: [&mut [ListedPhoto]; 2]) -> BTreeMap<String, Vec<u32>> {
+    let of_photo = |photo: &mut ListedPhoto| (photo.name.clone(), std::mem::take(&mut photo.seen));
+    let all = photos.into_iter().flatten().map(of_photo);
+    all.filter(|(_, points)| !points.is_empty()).collect()
 }
 
 /// Something of each training photo, and of each test photo.
@@ -334,7 +351,8 @@ fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<
 fn wanted(scene: &Path, options: &LoadOptions) -> Result<Wanted, SceneError> {
     let already = offset::of_scene(scene)?;
     let frame = Frame { asked: options.offset, already };
-    Ok(Wanted { points: options.with_points, masks: options.mask != MaskUse::Off, frame })
+    let tracks = options.with_points && options.with_tracks;
+    Ok(Wanted { points: options.with_points, tracks, masks: options.mask != MaskUse::Off, frame })
 }
 
 /// Fails where one of these folders is there and must not be read.

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use genesplat_core::{Camera, Mask, Photo, StoredPhoto, View};
 use glam::{DQuat, DVec3};
 
-use super::{LoadOptions, LoadProgress, MaskUse, PhotoDigests, digests_of};
+use super::{LoadOptions, LoadProgress, MaskUse, PhotoDigests, Spill, digests_of};
 use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
@@ -71,16 +71,18 @@ impl<'a> PhotoStorage<'a> {
             let (width, height) = options.size_of(photo.camera.width, photo.camera.height);
             3 * u64::from(width) * u64::from(height)
         };
-        let Some(spill) = &options.spill else { return Ok(Self(None)) };
-        if photos.map(bytes).sum::<u64>() <= spill.memory_bytes {
-            return Ok(Self(None));
-        }
-        let file =
-            PhotoFile::create_in(&spill.folder).map_err(|source| cannot_keep(&spill.folder, source))?;
-        Ok(Self(Some((file, &spill.folder))))
+        let spill = options.spill.as_ref();
+        Self::in_file(spill.filter(|spill| photos.map(bytes).sum::<u64>() > spill.memory_bytes))
     }
 
-    fn keep(&self, photo: Photo) -> Result<StoredPhoto, SceneError> {
+    /// In a new file, where it is said where.
+    pub(super) fn in_file(spill: Option<&'a Spill>) -> Result<Self, SceneError> {
+        let Some(Spill { folder, .. }) = spill else { return Ok(Self(None)) };
+        let file = PhotoFile::create_in(folder).map_err(|source| cannot_keep(folder, source))?;
+        Ok(Self(Some((file, folder))))
+    }
+
+    pub(super) fn keep(&self, photo: Photo) -> Result<StoredPhoto, SceneError> {
         match &self.0 {
             Some((file, folder)) => file.keep(&photo).map_err(|source| cannot_keep(folder, source)),
             None => Ok(photo.into()),

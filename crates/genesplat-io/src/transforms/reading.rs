@@ -76,7 +76,7 @@ impl<'a> Reading<'a> {
         let mask = entry.mask_path.as_deref().filter(|_| self.wanted.masks);
         let mask = mask.map(|name| self.find_mask(name)).transpose()?;
         let list = self.shared.clone();
-        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask });
+        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, seen: Vec::new() });
         Ok(())
     }
 

@@ -17,4 +17,5 @@ mod ply_kinds;
 mod real_scenes;
 mod split;
 mod strangers;
+mod tracks;
 mod transforms;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::names::is_file_name;
 use genesplat::io::shown;
+use genesplat::run::exposure::Corrections;
 use genesplat::run::overwrite::check_apart;
 use genesplat::run::settings::{ConfigFile, Machine, Settings, check_size};
 use genesplat::train::StepBudget;
@@ -171,6 +172,8 @@ impl Experiment {
         config.dataset.path = path.to_owned();
         (config.dataset.max_side, config.dataset.downscale) = (file.max_side, file.downscale);
         config.dataset.hold_out = file.hold_out.clone();
+        // Methods are compared on photos as they are.
+        config.dataset.corrections = Corrections::Off;
         if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
             config.train.extra_steps = Some(StepBudget::Steps(0));
             let searches = config.train.clone().resolve()?.timeline().all(Event::Search).count();

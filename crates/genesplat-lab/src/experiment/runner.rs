@@ -209,7 +209,7 @@ impl<'a> Runner<'a> {
         let scene = scenes.get(self, cell, settings).and_then(|scene| {
             self.check_partners(cell, scene)?;
             if resumes {
-                let (mut now, caller) = (Inputs::of(settings, scene), Caller::Experiment);
+                let (mut now, caller) = (Inputs::of(settings, scene, None), Caller::Experiment);
                 inputs::check_goes_on(&self.folder(cell), &mut now, &scene.name, caller, false)?;
             }
             Ok(scene)
@@ -218,6 +218,7 @@ impl<'a> Runner<'a> {
         let run = Run {
             settings,
             scene,
+            exposure: None,
             lpips: self.lpips,
             stop: self.stop,
             page: None,

@@ -3,6 +3,7 @@
 use genesplat::flags::Choice;
 use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
+use genesplat::run::exposure::Corrections;
 use genesplat::run::metrics::Split;
 use genesplat::train::{Background, MethodName};
 
@@ -66,6 +67,13 @@ pub(crate) const BACKGROUNDS: &[Choice<Background>] =
 
 /// `--background` of a finished splat.
 pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
+
+/// `--corrections`.
+pub(crate) const CORRECTIONS: &[Choice<Corrections>] = &[
+    (Corrections::Auto, &["auto"], "Where points that photos share say that it helps"),
+    (Corrections::On, &["on"], "Whatever they say; an error where they say nothing"),
+    (Corrections::Off, &["off"], "Photos are trained on as they are"),
+];
 
 /// `--mask`.
 pub(crate) const MASKS: &[Choice<MaskUse>] = &[

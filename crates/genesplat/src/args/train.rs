@@ -7,10 +7,11 @@ use anyhow::{Result, ensure};
 use clap::Args;
 use genesplat::flags::{LpipsArgs, MORE, MachineArgs, choice, scale};
 use genesplat::io::archive::is_zip;
-use genesplat::run::settings::Training;
+use genesplat::run::exposure::Corrections;
+use genesplat::run::settings::{PhotosAsked, Training};
 use genesplat::train::{Background, MethodConfig, MethodName, TrainConfig};
 
-use super::choice::{BACKGROUNDS, METHODS, PRESETS};
+use super::choice::{BACKGROUNDS, CORRECTIONS, METHODS, PRESETS};
 use super::{PhotosArgs, SEEDS, TrainPageArgs};
 
 #[derive(Debug, Args)]
@@ -42,6 +43,11 @@ pub(crate) struct TrainArgs {
     pub(crate) search: SearchArgs,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
+    /// Whether photos are brought to one exposure and white balance before training, each by three numbers
+    /// that COLMAP's points tell [default: auto]. Renders then show the mean exposure, and test photos are
+    /// compared with renders at the photo's own
+    #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS))]
+    pub(crate) corrections: Option<Corrections>,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:
     /// none]
     #[arg(long, value_name = "FILE.toml")]
@@ -101,7 +107,7 @@ impl TrainArgs {
             accepts_changes: self.accept_changes,
             config: self.config.as_deref(),
             preset: self.preset,
-            photos: self.photos.asked()?,
+            photos: PhotosAsked { corrections: self.corrections, ..self.photos.asked()? },
             machine: self.machine.into(),
             over,
         })

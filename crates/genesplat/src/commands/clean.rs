@@ -144,7 +144,7 @@ impl<'a> Judges<'a> {
     }
 
     fn psnr(&self, device: &mut Device, settings: &RenderSettings) -> Result<f64> {
-        Ok(evaluate_all(device, self.views, settings, None)?.psnr)
+        Ok(evaluate_all(device, self.views, settings, None, None)?.scores.psnr)
     }
 
     /// Fails where they look worse, unless that is accepted.

@@ -11,6 +11,7 @@ use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{Offset, offset, plural, shown};
 use genesplat::run::CLOUD;
 use genesplat::run::device::Device;
+use genesplat::run::exposure::{Exposure, Light};
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::WriteBar;
 use genesplat::run::photos::check_test_photos;
@@ -71,8 +72,8 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
 
 /// What a loss is measured on.
 enum Photos {
-    /// All that are asked for.
-    Asked(Vec<View>),
+    /// All that are asked for, and their exposure, if the run brought its photos to one.
+    Asked(Vec<View>, Option<Exposure>),
     /// Some of a run's.
     Sampled(Sample),
 }
@@ -85,14 +86,16 @@ fn photos(splat: &Splat, format: Format, args: &ConvertArgs) -> Result<Option<Ph
         let scene = if is_copy && is_whole { None } else { splat.sample_scene(PHOTOS) };
         return Ok(scene.as_ref().and_then(Sample::of).map(Photos::Sampled));
     };
-    let scene = splat.load_scene(data, &args.photos.asked()?)?;
+    let asked = args.photos.asked()?;
+    let scene = splat.load_scene(data, &asked)?;
     check_test_photos(&args.splat, &scene)?;
     ensure!(
         !scene.test.is_empty(),
         "{} has no test photos to measure a loss on; leave --data out",
         scene.name
     );
-    Ok(Some(Photos::Asked(scene.test)))
+    let exposure = splat.exposure(&scene, &asked);
+    Ok(Some(Photos::Asked(scene.test, exposure)))
 }
 
 fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
@@ -146,7 +149,7 @@ fn say_loss(
     let shown = RenderSettings { background: settings.background, ..written.settings };
     let after = score(photos, &mut backend, "after", &shown)?;
     match photos {
-        Photos::Asked(_) => output::print(&format!("lost   {:.2} dB", before - after)),
+        Photos::Asked(..) => output::print(&format!("lost   {:.2} dB", before - after)),
         Photos::Sampled(sample) => sample.tell(before, after),
     }
 }
@@ -154,10 +157,11 @@ fn say_loss(
 /// PSNR of what the device holds, dB.
 fn score(photos: &Photos, backend: &mut Device, when: &str, settings: &RenderSettings) -> Result<f64> {
     match photos {
-        Photos::Asked(views) => {
-            let scores = evaluate_all(backend, views, settings, None)?;
-            output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
-            Ok(scores.psnr)
+        Photos::Asked(views, exposure) => {
+            let light = exposure.as_ref().map(Light::finished);
+            let found = evaluate_all(backend, views, settings, None, light)?;
+            output::print(&format!("{when:<6} {}", output::scores_told("test", &found)))?;
+            Ok(found.scores.psnr)
         }
         Photos::Sampled(sample) => sample.psnr(backend, settings),
     }

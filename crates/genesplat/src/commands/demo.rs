@@ -174,6 +174,7 @@ impl Half {
         let run = Run {
             settings: &self.settings,
             scene,
+            exposure: None,
             lpips,
             stop,
             page: None,
@@ -270,6 +271,7 @@ mod tests {
             gaussians,
             test: scores(psnr),
             train: scores(psnr),
+            exposure: None,
             seconds: PhaseSeconds::default(),
             peak_memory_bytes: None,
             evolution: Vec::new(),

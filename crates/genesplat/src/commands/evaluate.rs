@@ -5,9 +5,10 @@ use std::path::Path;
 use anyhow::{Result, bail, ensure};
 use genesplat::io::{PHOTO_ENDINGS, ending, shown};
 use genesplat::metrics::Evaluation;
+use genesplat::run::exposure::Light;
 use genesplat::run::metrics::Split;
 use genesplat::run::photos;
-use genesplat::run::score::evaluate_all;
+use genesplat::run::score::{Scores, evaluate_all};
 use genesplat::run::{device, lpips, splat};
 use genesplat::terminal::output;
 use serde::Serialize;
@@ -24,6 +25,22 @@ struct Report {
     gaussians: usize,
     #[serde(flatten)]
     scores: Evaluation,
+    /// Mean PSNR after a fit of each render's colours to its photo, dB.
+    cc_psnr: Option<f64>,
+    /// Where the run brought its photos to one exposure: how `psnr` and its like are to be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exposure: Option<AtExposure>,
+}
+
+/// `psnr`, `ssim` and `lpips` are of renders at the exposure of each photo, as shared points say it.
+#[derive(Serialize)]
+struct AtExposure {
+    /// What `psnr` is, dB.
+    psnr_at_track_exposure: f64,
+    /// Of renders as they are, at the mean exposure, dB.
+    psnr_raw: f64,
+    /// The figures of renders as they are.
+    raw: Evaluation,
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
@@ -47,7 +64,9 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let lpips = lpips::open_or_notify(&args.lpips.asked())?;
     let splat = splat::open(path)?.on(args.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
-    let scene = splat.load_scene(&data, &args.photos.asked()?)?;
+    let asked = args.photos.asked()?;
+    let scene = splat.load_scene(&data, &asked)?;
+    let exposure = splat.exposure(&scene, &asked);
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),
@@ -63,9 +82,17 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud.into())?;
-    let scores = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref())?;
+    let light = exposure.as_ref().map(Light::finished);
+    let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), light)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
-    output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
-    let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };
-    args.json.write(&report)
+    output::print(&format!("{}, at {width}x{height} pixels", output::scores_told(name, &found)))?;
+    args.json.write(&report(scene.name, (args.split, size, gaussians), found))
+}
+
+fn report(dataset: String, (split, size, gaussians): (Split, [u32; 2], usize), found: Scores) -> Report {
+    let Scores { scores, as_rendered, cc_psnr } = found;
+    let exposure =
+        as_rendered.map(|raw| AtExposure { psnr_at_track_exposure: scores.psnr, psnr_raw: raw.psnr, raw });
+    let cc_psnr = Some(cc_psnr).filter(|psnr| psnr.is_finite());
+    Report { dataset, split, size, gaussians, scores, cc_psnr, exposure }
 }

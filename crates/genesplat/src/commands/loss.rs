@@ -32,7 +32,7 @@ impl Sample {
 
     /// Mean PSNR of the cloud that `device` holds, dB.
     pub(super) fn psnr(&self, device: &mut Device, settings: &RenderSettings) -> Result<f64> {
-        Ok(evaluate_all(device, &self.views, settings, None)?.psnr)
+        Ok(evaluate_all(device, &self.views, settings, None, None)?.scores.psnr)
     }
 
     /// The same of `cloud`, which it is given.

@@ -9,6 +9,7 @@ use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
 use genesplat::metrics::{Evaluation, psnr_of_mean};
 use genesplat::run::device::Device;
+use genesplat::run::exposure::Light;
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::WriteBar;
 use genesplat::run::photos;
@@ -38,7 +39,14 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     check_hidden(splat.mask(&data, &args.photos.asked()?)?, schedule.config().background)?;
     check(args, schedule.config())?;
     splat.settings = schedule.render_settings();
-    let scene = splat.load_scene_to_train(&data, &args.photos.asked()?)?;
+    let asked = args.photos.asked()?;
+    let scene = splat.load_scene_to_train(&data, &asked)?;
+    let exposure = splat.exposure(&scene, &asked);
+    let dark = exposure.as_ref().map_or(1.0, |exposure| exposure.dark);
+    if dark != 1.0 {
+        // As training sees it.
+        splat.cloud = splat.cloud.at_brightness(dark);
+    }
     // What a run was begun with is no news.
     let is_own = splat.began_with(&scene);
     scene::check_promising(&scene, args.anyway || is_own)?;
@@ -46,16 +54,24 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let stop = interrupt::stop_flag();
     let mut device = device::open(args.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
-    let before = print_scores("before", &mut device, &scene, &splat.settings)?;
+    let before = print_scores(
+        "before",
+        &mut device,
+        (&scene, exposure.as_ref().map(Light::in_training)),
+        &splat.settings,
+    )?;
     if !args.anyway && !is_own {
         check_shows(&before, &scene, &args.splat)?;
     }
     let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
-    let outcome: Outcome = if schedule.config().genetic.is_some() {
+    let mut outcome: Outcome = if schedule.config().genetic.is_some() {
         search(device.as_mut(), views, splat.cloud, &schedule, &mut reporter, &stop)?
     } else {
         train(device.as_mut(), views, Start::Cloud(splat.cloud), &schedule, &mut reporter, &stop)?
     };
+    if dark != 1.0 {
+        outcome.cloud = outcome.cloud.at_brightness(1.0 / dark);
+    }
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
     let format = files::format_of(&args.out)?;
     format::write_told(&args.out, format, &outcome.cloud, &options, &WriteBar::default())?;
@@ -70,7 +86,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let written = splat::open(&args.out)?;
     device.upload(written.cloud.into())?;
     let settings = RenderSettings { background: splat.settings.background, ..written.settings };
-    print_scores("after", &mut device, &scene, &settings)?;
+    print_scores("after", &mut device, (&scene, exposure.as_ref().map(Light::finished)), &settings)?;
     output::print(&format!("{gaussians} Gaussians written to {}", shown(&args.out)))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
@@ -141,18 +157,18 @@ fn check_shows(scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the scores of the training photos.
+/// Returns the scores of the training photos, which are at the exposure that training sees.
 fn print_scores(
     when: &str,
     device: &mut Device,
-    scene: &Scene,
+    (scene, light): (&Scene, Option<Light<'_>>),
     settings: &RenderSettings,
 ) -> Result<Evaluation> {
-    let mut print = |name, views: &[View]| -> Result<Evaluation> {
-        let scores = evaluate_all(device, views, settings, None)?;
-        output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
-        Ok(scores)
+    let mut print = |name, views: &[View], light: Option<Light<'_>>| -> Result<Evaluation> {
+        let found = evaluate_all(device, views, settings, None, light)?;
+        output::print(&format!("{when:<6} {}", output::scores_told(name, &found)))?;
+        Ok(found.scores)
     };
-    print("test", &scene.test)?;
-    print("train", &scene.train)
+    print("test", &scene.test, light)?;
+    print("train", &scene.train, light.map(Light::brought))
 }

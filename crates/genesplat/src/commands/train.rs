@@ -11,6 +11,8 @@ use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::cluster::Cluster;
 use genesplat::run::device::DeviceChoice;
+use genesplat::run::exposure::{self, Exposure};
+use genesplat::run::inputs::Inputs;
 use genesplat::run::live::Showing;
 use genesplat::run::metrics::Metrics;
 use genesplat::run::numbers::{duration, thousands};
@@ -67,13 +69,15 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
         output::print("stopped; the same command goes on from there")?;
         return Ok(Ending::Stopped);
     };
-    let Loaded { mut session, settings, scene, lpips } = loaded;
-    cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene))?;
+    let Loaded { mut session, settings, scene, exposure, lpips } = loaded;
+    let exposure = exposure.as_ref();
+    cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene, exposure))?;
     let (address, tensorboard) = (args.page.address(), args.tensorboard);
     let page = address.as_ref();
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
     let accepts_changes = args.accept_changes;
-    let run = Run { settings, scene, lpips, stop, page, tensorboard, cluster, accepts_changes, began };
+    let run =
+        Run { settings, scene, exposure, lpips, stop, page, tensorboard, cluster, accepts_changes, began };
     let (ended, showing) = run.execute_shown(&mut session)?;
     if let Some(cluster) = cluster {
         output::tell(&cluster.summary(began.elapsed().as_secs_f64())?);
@@ -103,6 +107,7 @@ struct Loaded {
     session: RunSession,
     settings: Settings,
     scene: Scene,
+    exposure: Option<Exposure>,
     lpips: Option<Lpips>,
 }
 
@@ -132,12 +137,18 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     let background = config.train.background.fixed_colour();
     let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
     let offset = if args.resume { inputs::offset(&args.out) } else { None };
-    let scene = scene::load(&config.dataset, background, config.train.seed, Some(spill), offset)?;
+    let mut scene = scene::load(&config.dataset, background, config.train.seed, Some(spill.clone()), offset)?;
     // A run that goes on was begun all the same.
     scene::check_promising(&scene, args.anyway || args.resume)?;
+    let exposure = match args.resume {
+        // That of the steps that were made.
+        true => Inputs::of_checkpoint(&args.out)?.exposure,
+        false => exposure::decide(&scene, config.dataset.corrections, background)?,
+    };
+    exposure.as_ref().map_or(Ok(()), |exposure| exposure.bring(&mut scene, Some(&spill)))?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips.asked())?;
-    Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, lpips }))
+    Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, exposure, lpips }))
 }
 
 /// Fails where ranks cannot do what is asked for.
@@ -185,13 +196,13 @@ fn find_cameras(args: &TrainArgs, threads: Option<u16>, stop: &AtomicBool) -> Re
 fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
     match ended {
         Ended::Whole(metrics) => {
-            output::print(&output::scores_line("test", &metrics.test))?;
+            print_test(metrics)?;
             output::print(&output::scores_line("train", &metrics.train))?;
             print_size(metrics, folder)?;
             return Ok(Ending::Whole);
         }
         Ended::Stopped(metrics) => {
-            output::print(&output::scores_line("test", &metrics.test))?;
+            print_test(metrics)?;
             print_size(metrics, folder)?;
             let last = metrics.iterations;
             output::print(&format!(
@@ -207,6 +218,13 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
         }
     }
     Ok(Ending::Stopped)
+}
+
+fn print_test(metrics: &Metrics) -> Result<()> {
+    let line = output::scores_line("test", &metrics.test);
+    let figures = metrics.exposure.as_ref();
+    let others = figures.map(|figures| [figures.test_psnr_raw, figures.test_cc_psnr]);
+    output::print(&output::with_exposure(line, others))
 }
 
 fn print_size(metrics: &Metrics, folder: &Path) -> Result<()> {

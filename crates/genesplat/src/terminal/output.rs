@@ -18,6 +18,7 @@ use anyhow::{Result, anyhow};
 use genesplat_io::{plural, shown};
 use genesplat_metrics::Evaluation;
 use genesplat_run::output::{Progress, Tell, Work};
+use genesplat_run::score::Scores;
 
 use super::progress::{self, Bar};
 pub use crate::flags::Volume;
@@ -239,6 +240,25 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
             format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}{lpips}  ({count} {photos})")
         }
     }
+}
+
+/// A line of scores that were taken at the exposure of each photo, with the PSNR of renders as they are and
+/// after a fit of colours; the same line where photos keep their exposure.
+pub fn with_exposure(line: String, others: Option<[Option<f64>; 2]>) -> String {
+    match others {
+        Some([Some(raw), Some(fitted)]) => format!(
+            "{line}, at the exposure that shared points give each photo; raw {raw:.2} dB, after a fit of colours (cc_psnr) {fitted:.2} dB"
+        ),
+        _ => line,
+    }
+}
+
+/// The line of `scores`, as [`with_exposure`].
+pub fn scores_told(name: &str, scores: &Scores) -> String {
+    let line = scores_line(name, &scores.scores);
+    let raw = scores.as_rendered.as_ref().map(|scores| scores.psnr);
+    let finite = |psnr: f64| Some(psnr).filter(|psnr| psnr.is_finite());
+    with_exposure(line, raw.map(|raw| [finite(raw), finite(scores.cc_psnr)]))
 }
 
 /// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause

@@ -5,6 +5,7 @@ mod blocks;
 mod camera_path;
 mod clean;
 mod convert;
+mod corrections;
 mod determinism;
 mod disk;
 mod foreign_folders;

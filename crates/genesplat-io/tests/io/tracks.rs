@@ -1,0 +1,97 @@
+//! COLMAP's tracks: which photos see which points, in both forms, whole or not.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use genesplat_io::bytes;
+use genesplat_io::colmap::Form;
+use genesplat_io::{LoadOptions, Scene, load_scene};
+
+use crate::common::{tiny_model, write_scene};
+
+/// The photos (by the model's ids, which count from 1) that see each of nine points. Photo 99 is in no list.
+const TRACKS: [&[u32]; 9] = [&[1, 2], &[], &[2, 3, 2], &[4], &[99, 1], &[5, 4, 3], &[], &[1], &[3, 5]];
+
+/// The file of nine points with these tracks; the position of the one in `lost` is not a number.
+fn points_file(form: Form, lost: Option<usize>) -> Vec<u8> {
+    let points = TRACKS.iter().enumerate().map(|(index, track)| {
+        let x = if lost == Some(index) { f64::NAN } else { index as f64 / 7.0 };
+        if form == Form::Text {
+            let track: String = track.iter().map(|photo| format!(" {photo} 17")).collect();
+            return format!("{index} {x} -0.25 1 {index} 255 3 0.5{track}\n").into_bytes();
+        }
+        let mut bytes = (index as u64).to_le_bytes().to_vec();
+        bytes.extend([x, -0.25, 1.0].map(f64::to_le_bytes).concat());
+        bytes.extend([index as u8, 255, 3]);
+        bytes.extend(0.5f64.to_le_bytes());
+        bytes.extend((track.len() as u64).to_le_bytes());
+        bytes.extend(track.iter().flat_map(|photo| [photo.to_le_bytes(), 17u32.to_le_bytes()].concat()));
+        bytes
+    });
+    let count = if form == Form::Text { Vec::new() } else { 9u64.to_le_bytes().to_vec() };
+    [count, points.collect::<Vec<_>>().concat()].concat()
+}
+
+fn scene(folder: &Path, form: Form, lost: Option<usize>) -> std::path::PathBuf {
+    write_scene(folder, form, &tiny_model(5));
+    let name = if form == Form::Binary { "points3D.bin" } else { "points3D.txt" };
+    let file = folder.join("sparse/0").join(name);
+    fs::write(&file, points_file(form, lost)).unwrap();
+    file
+}
+
+fn load(folder: &Path, with_tracks: bool) -> Scene {
+    load_scene(folder, &LoadOptions { with_tracks, ..LoadOptions::default() }, &()).unwrap()
+}
+
+#[test]
+fn photos_know_their_points_in_both_forms_where_that_is_asked_for() {
+    let of = |points: &[(&str, &[u32])]| -> BTreeMap<String, Vec<u32>> {
+        points.iter().map(|(name, points)| ((*name).to_owned(), points.to_vec())).collect()
+    };
+    for form in [Form::Binary, Form::Text] {
+        let folder = tempfile::tempdir().unwrap();
+        scene(folder.path(), form, None);
+        let seen = load(folder.path(), true).seen;
+        let expected = of(&[
+            ("000.png", &[0, 4, 7]),
+            ("001.png", &[0, 2]),
+            ("002.png", &[2, 5, 8]),
+            ("003.png", &[3, 5]),
+            ("004.png", &[5, 8]),
+        ]);
+        assert_eq!(seen, expected, "{form:?}");
+        assert!(load(folder.path(), false).seen.is_empty(), "{form:?}");
+        // Places are those among the points that are kept.
+        scene(folder.path(), form, Some(2));
+        let loaded = load(folder.path(), true);
+        assert_eq!(loaded.points.len(), 8);
+        assert_eq!(loaded.seen["002.png"], [4, 7], "{form:?}");
+        assert_eq!(loaded.points[4].rgb[0], 5, "{form:?}");
+    }
+}
+
+#[test]
+fn a_scene_without_tracks_has_none() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(5));
+    assert!(load(folder.path(), true).seen.is_empty());
+}
+
+#[test]
+fn tracks_that_are_cut_off_are_errors() {
+    let whole = points_file(Form::Binary, None);
+    assert_eq!(bytes::tracks(Form::Binary, &whole).unwrap(), TRACKS);
+    for end in 0..whole.len() {
+        assert!(bytes::tracks(Form::Binary, &whole[..end]).is_err(), "{end}");
+    }
+    assert!(bytes::tracks(Form::Binary, &[&whole[..], &[0]].concat()).is_err());
+    let text = String::from_utf8(points_file(Form::Text, None)).unwrap();
+    assert_eq!(bytes::tracks(Form::Text, text.as_bytes()).unwrap(), TRACKS);
+    let cut = text.trim_end().rsplit_once(' ').unwrap().0;
+    let error = bytes::tracks(Form::Text, cut.as_bytes()).unwrap_err().to_string();
+    assert!(error.contains("line 9") && error.contains("POINT2D_IDX pairs"), "{error}");
+    let not_an_id = text.replacen(" 99 ", " -99 ", 1);
+    assert!(bytes::tracks(Form::Text, not_an_id.as_bytes()).is_err());
+}

@@ -1,0 +1,129 @@
+//! Renders at the exposure of a photo.
+
+use std::borrow::Cow;
+
+use anyhow::Result;
+use genesplat_core::{BackendError, Camera, Gaussians, Image, Photo, RenderSettings, Renderer, View};
+
+use super::Exposure;
+use super::fall_off::of_row;
+
+/// What renders and photos that are compared have to do with the exposure that photos were brought to.
+#[derive(Clone, Copy, Debug)]
+pub struct Light<'a> {
+    exposure: &'a Exposure,
+    /// By what factor the cloud is brighter than the mean exposure.
+    cloud: f32,
+    /// Whether the photos are those that training sees.
+    is_brought: bool,
+}
+
+impl<'a> Light<'a> {
+    /// Of a finished cloud, and photos as they were taken.
+    pub fn finished(exposure: &'a Exposure) -> Self {
+        Self { exposure, cloud: 1.0, is_brought: false }
+    }
+
+    /// Of a cloud under training.
+    pub fn in_training(exposure: &'a Exposure) -> Self {
+        Self { cloud: exposure.dark, ..Self::finished(exposure) }
+    }
+
+    /// With photos that were brought to the exposure that training sees.
+    pub fn brought(self) -> Self {
+        Self { is_brought: true, ..self }
+    }
+
+    /// What makes a render look as the photo of this name.
+    pub fn of_photo(&self, name: &str) -> Shade {
+        let factors = self.exposure.gain(name).map(|gain| gain / self.cloud);
+        Shade { factors, fall_off: self.exposure.fall_off }
+    }
+
+    /// What brings a render to the mean exposure.
+    pub(crate) fn mean(&self) -> Shade {
+        Shade { factors: [1.0 / self.cloud; 3], fall_off: 0.0 }
+    }
+
+    /// The view with its photo as it was taken.
+    pub(crate) fn as_taken(&self, view: &View) -> Result<View> {
+        if !self.is_brought {
+            return Ok(view.clone());
+        }
+        let factors = self.exposure.gain(&view.name).map(|gain| gain / self.exposure.dark);
+        let shade = Shade { factors, fall_off: self.exposure.fall_off };
+        Ok(View { photo: shade.of_photo(&*view.photo.read()?, &view.camera).into(), ..view.clone() })
+    }
+}
+
+/// What pixels are multiplied by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shade {
+    /// Of red, green and blue.
+    pub(crate) factors: [f32; 3],
+    /// [`Exposure::fall_off`]
+    pub(crate) fall_off: f32,
+}
+
+impl Shade {
+    /// Changes nothing.
+    pub(crate) const NONE: Self = Self { factors: [1.0; 3], fall_off: 0.0 };
+
+    /// Changes what `camera` sees.
+    pub fn put_on(&self, image: &mut Image, camera: &Camera) {
+        image.scale(self.factors);
+        if self.fall_off == 0.0 {
+            return;
+        }
+        let [width, height] = [image.width, image.height].map(|side| side as usize);
+        for (at, row) in image.planes.chunks_exact_mut(width.max(1)).enumerate() {
+            let factors = of_row(self.fall_off, camera, at % height);
+            row.iter_mut().zip(factors).for_each(|(value, factor)| *value *= factor);
+        }
+    }
+
+    /// The photo of `camera` with its pixels changed.
+    pub(crate) fn of_photo(&self, photo: &Photo, camera: &Camera) -> Photo {
+        let row = |(y, values): (usize, &[u8])| {
+            let along = of_row(self.fall_off, camera, y);
+            let pixels = values.as_chunks::<3>().0.iter().zip(along);
+            let pixel = |(rgb, along): (&[u8; 3], f32)| {
+                [0, 1, 2].map(|channel| times(rgb[channel], along * self.factors[channel]))
+            };
+            pixels.flat_map(pixel).collect::<Vec<u8>>()
+        };
+        let rows = photo.rgb.chunks_exact(3 * photo.width as usize).enumerate();
+        Photo { rgb: rows.flat_map(row).collect(), ..*photo }
+    }
+}
+
+/// An 8-bit value, multiplied.
+pub(super) fn times(value: u8, factor: f32) -> u8 {
+    (f32::from(value) * factor).round().clamp(0.0, 255.0) as u8
+}
+
+/// Draws what another device draws, in a shade.
+pub(crate) struct Lit<'a> {
+    pub(crate) renderer: &'a mut dyn Renderer,
+    pub(crate) shade: Shade,
+}
+
+impl Renderer for Lit<'_> {
+    fn describe(&self) -> String {
+        self.renderer.describe()
+    }
+
+    fn gaussian_count(&self) -> usize {
+        self.renderer.gaussian_count()
+    }
+
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        self.renderer.download()
+    }
+
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
+        let mut image = self.renderer.render(camera, settings)?;
+        self.shade.put_on(&mut image, camera);
+        Ok(image)
+    }
+}

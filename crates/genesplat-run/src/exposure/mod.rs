@@ -1,0 +1,201 @@
+//! Photos of other exposure and white balance than the rest: brought to one exposure before training, where
+//! points that photos share say that it helps.
+//!
+//! A photo has three numbers, the factors by which its red, green and blue are brighter than on average of
+//! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
+//! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
+//! have the mean 0, so no cast drifts in. Whether they are worth anything is judged on the halves of photos: the gain
+//! that one half tells must make the other half more alike, and else all is as if nobody had asked.
+//!
+//! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
+//!
+//! The photos that training sees are darker than the mean by one factor, [`Exposure::dark`], so that what the
+//! darkest photo shows white is not cut off in any; the cloud is made brighter by it when it is shown or
+//! saved, which is exact, since colours are linear in their harmonics. So no device knows of exposure.
+//!
+//! A test photo's gain comes from the points that it shares with training photos, and is put on its render:
+//! the photo itself is compared as it is.
+
+mod estimate;
+mod fall_off;
+mod fit;
+mod light;
+mod samples;
+
+use std::collections::BTreeMap;
+
+use anyhow::{Result, bail};
+use genesplat_core::View;
+use genesplat_io::{Scene, Spill, plural, replace_photos};
+use serde::{Deserialize, Serialize};
+
+pub(crate) use light::Lit;
+pub use light::{Light, Shade};
+
+use crate::output;
+
+/// Share of what shared points differ by that gains must explain to be kept.
+const WORTH: f64 = 0.33;
+
+/// Least spread of exposure that is worth a correction, stops.
+const STOPS_MIN: f32 = 0.15;
+
+/// Darkest that photos are made, so that 8 bits still tell their shades apart.
+const DARK_MIN: f32 = 0.4;
+
+/// Whether photos are brought to one exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Corrections {
+    /// Where it helps by what shared points say.
+    #[default]
+    Auto,
+    /// Whatever they say.
+    On,
+    /// Never.
+    Off,
+}
+
+impl Corrections {
+    /// As flags and files call it.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::On => "on",
+            Self::Off => "off",
+        }
+    }
+}
+
+/// The exposure of a scene's photos.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Exposure {
+    /// Standard deviation over training photos, stops of light at a gamma of 2.2.
+    pub stops: f32,
+    /// Share of what shared points differ by that the photos' gains explain.
+    pub explained: f32,
+    /// By what factors red, green and blue of a photo are brighter than on average, by the names of views,
+    /// test photos among them. One that is not there is taken as it is.
+    pub photos: BTreeMap<String, [f32; 3]>,
+    /// By what factor the photos that training sees are brighter than the mean exposure, at most 1.
+    pub dark: f32,
+    /// Logarithm of how bright corners are, where the middle is 1, in all photos; not above 0.
+    pub fall_off: f32,
+}
+
+/// The exposure of the photos of `scene`, which is shown on `background`, if they are to be brought to one,
+/// and says why or why not.
+pub fn decide(scene: &Scene, asked: Corrections, background: [f32; 3]) -> Result<Option<Exposure>> {
+    if asked == Corrections::Off {
+        return Ok(None);
+    }
+    let found = if background == [0.0; 3] { estimate(scene)? } else { None };
+    let Some(exposure) = found else {
+        let why = match background == [0.0; 3] {
+            true => {
+                "the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared"
+            }
+            false => "a white background has no exposure",
+        };
+        if asked == Corrections::On {
+            bail!("photos cannot be brought to one exposure: {why}; leave out --corrections on");
+        }
+        return Ok(None);
+    };
+    let is_worth = f64::from(exposure.explained) >= WORTH && exposure.stops >= STOPS_MIN;
+    let is_kept = asked == Corrections::On || is_worth;
+    output::tell(&exposure.sentence(is_kept, scene));
+    Ok(is_kept.then_some(exposure))
+}
+
+/// What shared points say; `None` where they say nothing.
+pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
+    let [train, test] =
+        [&scene.train, &scene.test].map(|views| samples::of_views(views, &scene.points, &scene.seen));
+    let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
+    let [train, test] = found.gains;
+    let named = |(view, gain): (&View, Option<[f32; 3]>)| Some((view.name.clone(), gain?));
+    let dark = train.iter().flatten().flatten().copied().fold(1.0, f32::min);
+    // Corners are made brighter.
+    let dark = (dark * found.fall_off.exp()).max(DARK_MIN);
+    let fall_off = found.fall_off;
+    let photos = scene.train.iter().zip(train).chain(scene.test.iter().zip(test)).filter_map(named).collect();
+    let (stops, explained) = (found.stops as f32, found.explained as f32);
+    Ok(Some(Exposure { stops, explained, photos, dark, fall_off }))
+}
+
+impl Exposure {
+    /// The gains of the photo of this name.
+    pub fn gain(&self, name: &str) -> [f32; 3] {
+        self.photos.get(name).copied().unwrap_or([1.0; 3])
+    }
+
+    /// Without the photos whose names `keeps` does not want.
+    pub(crate) fn only(&self, keeps: impl Fn(&str) -> bool) -> Self {
+        let photos = self.photos.iter().filter(|(name, _)| keeps(name));
+        Self { photos: photos.map(|(name, gain)| (name.clone(), *gain)).collect(), ..*self }
+    }
+
+    /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill` says
+    /// where photos go that are in a file.
+    pub fn bring(&self, scene: &mut Scene, spill: Option<&Spill>) -> Result<()> {
+        for point in &mut scene.points {
+            point.rgb = point.rgb.map(|value| light::times(value, self.dark));
+        }
+        let brought = |view: &View| {
+            let factors = self.gain(&view.name).map(|gain| self.dark / gain);
+            let shade = Shade { factors, fall_off: -self.fall_off };
+            Ok(shade.of_photo(&*view.photo.read()?, &view.camera))
+        };
+        Ok(replace_photos(&mut scene.train, spill, brought)?)
+    }
+
+    /// What was done, for a report.
+    pub fn told(&self) -> String {
+        let percent = (100.0 * self.explained).round().max(0.0);
+        format!(
+            "photos differ by {:.2} stops, and were brought to one exposure, which explains {percent} % of what shared points differ \
+             by{}; renders show the mean exposure",
+            self.stops,
+            self.corners()
+        )
+    }
+
+    fn corners(&self) -> String {
+        let percent = 100.0 * (1.0 - self.fall_off.exp());
+        if self.fall_off < 0.0 {
+            format!(", with corners that are {percent:.0} % darker")
+        } else {
+            String::new()
+        }
+    }
+
+    /// What was found, and whether it is kept.
+    fn sentence(&self, is_kept: bool, scene: &Scene) -> String {
+        let percent = (100.0 * self.explained).round().max(0.0);
+        let differ = format!("photos differ by {:.2} stops", self.stops);
+        if !is_kept {
+            let least = 100.0 * WORTH;
+            return format!(
+                "{differ}, and keep their exposure: one exposure would explain {percent} % of what shared points differ by, and it \
+                 pays from {STOPS_MIN} stops and {least} % on (--corrections on does it all the same)"
+            );
+        }
+        let alone =
+            |views: &[View]| views.iter().filter(|view| !self.photos.contains_key(&view.name)).count();
+        let as_they_are = match alone(&scene.train) + alone(&scene.test) {
+            0 => String::new(),
+            count => {
+                format!("; {count} {} too few points, and stay as they are", plural(count, "shares", "share"))
+            }
+        };
+        format!(
+            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by{} (--corrections off \
+             leaves them as they are){as_they_are}",
+            self.corners()
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests;

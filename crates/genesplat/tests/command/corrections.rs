@@ -1,0 +1,148 @@
+//! Photos of other exposure than the rest, as the command is given them.
+
+use std::fs;
+use std::path::Path;
+
+use genesplat::core::Photo;
+use genesplat::gallery::{self, Gallery, GalleryOptions};
+
+#[cfg(unix)]
+use crate::resume::signal;
+#[cfg(unix)]
+use crate::support::command;
+use crate::support::{cloud, fail, json, number, run, scene, succeed, text, train};
+
+/// A gallery whose photos were taken with these gains, with tracks.
+fn write_scene(folder: &Path, gain: impl Fn(usize) -> f32) {
+    let options = GalleryOptions { width: 64, height: 48, views: 16, points: 400, seed: 5 };
+    let mut gallery = gallery::generate(&options);
+    for (index, view) in gallery.views.iter_mut().enumerate() {
+        let photo = view.photo.read().unwrap();
+        let rgb = photo.rgb.iter().map(|value| (f32::from(*value) * gain(index)).round().min(255.0) as u8);
+        view.photo = Photo { rgb: rgb.collect(), ..*photo }.into();
+    }
+    gallery.write_colmap(folder).unwrap();
+    fs::write(folder.join("sparse/0/points3D.bin"), points_with_tracks(&gallery)).unwrap();
+}
+
+fn points_with_tracks(gallery: &Gallery) -> Vec<u8> {
+    let mut bytes = (gallery.points.len() as u64).to_le_bytes().to_vec();
+    for (index, point) in (0u32..).zip(&gallery.points) {
+        let track: Vec<u32> =
+            (1u32..).zip(&gallery.seen).filter(|(_, seen)| seen.contains(&index)).map(|(id, _)| id).collect();
+        bytes.extend(u64::from(index).to_le_bytes());
+        bytes.extend(point.position.map(|value| f64::from(value).to_le_bytes()).concat());
+        bytes.extend(point.rgb);
+        bytes.extend(0.5f64.to_le_bytes());
+        bytes.extend((track.len() as u64).to_le_bytes());
+        bytes.extend(track.iter().flat_map(|id| [id.to_le_bytes(), 0u32.to_le_bytes()].concat()));
+    }
+    bytes
+}
+
+fn damage(index: usize) -> f32 {
+    [1.0, 0.7, 1.3, 0.85, 1.15][index % 5]
+}
+
+#[test]
+fn photos_of_other_exposure_are_brought_to_one_and_every_figure_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, first, second, off] =
+        ["scene", "first", "second", "off"].map(|name| folder.path().join(name));
+    write_scene(&scene, damage);
+    let short = ["--iterations", "40", "--threads", "1"];
+    let output = run(train(&scene, &first, &short));
+    assert!(output.status.success());
+    let (said, told) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+    assert!(told.contains("are brought to one exposure, which explains"), "{told}");
+    assert!(said.contains("at the exposure that shared points give each photo; raw "), "{said}");
+    let metrics = json(&first.join("metrics.json"));
+    let figure = |name: &str| number(&metrics["exposure"][name]);
+    assert_eq!(figure("test_psnr_at_track_exposure"), number(&metrics["test"]["psnr"]));
+    assert!(figure("test_cc_psnr") > figure("test_psnr_raw"), "{metrics}");
+    // The splat is at the mean exposure, so another command finds the same of it.
+    let scores = folder.path().join("scores.json");
+    succeed(["evaluate", text(&first), "--device", "cpu", "--json", text(&scores)]);
+    let found = json(&scores);
+    for (name, value) in [
+        ("psnr_at_track_exposure", figure("test_psnr_at_track_exposure")),
+        ("psnr_raw", figure("test_psnr_raw")),
+    ] {
+        let again = number(&found["exposure"][name]);
+        assert!((again - value).abs() < 0.05, "{name}: {again} {value}");
+    }
+    assert!((number(&found["cc_psnr"]) - figure("test_cc_psnr")).abs() < 0.05);
+    succeed(train(&scene, &second, &["--iterations", "40", "--threads", "2"]));
+    assert!(cloud(&first) == cloud(&second), "same seed, same bytes");
+    succeed(train(&scene, &off, &[&short[..], &["--corrections", "off"]].concat()));
+    let metrics = json(&off.join("metrics.json"));
+    assert!(metrics.get("exposure").is_none() && cloud(&off) != cloud(&first));
+}
+
+#[test]
+fn photos_of_one_exposure_train_as_if_nobody_had_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, auto, off] = ["scene", "auto", "off"].map(|name| folder.path().join(name));
+    write_scene(&scene, |_| 1.0);
+    let told = String::from_utf8(run(train(&scene, &auto, &["--iterations", "10"])).stderr).unwrap();
+    assert!(told.contains("keep their exposure") && told.contains("--corrections on"), "{told}");
+    succeed(train(&scene, &off, &["--iterations", "10", "--corrections", "off"]));
+    assert!(cloud(&auto) == cloud(&off));
+    assert!(json(&auto.join("metrics.json")).get("exposure").is_none());
+}
+
+#[test]
+fn a_refined_splat_stays_at_the_mean_exposure() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, run, refined] = ["scene", "run", "refined.ply"].map(|name| folder.path().join(name));
+    write_scene(&scene, damage);
+    succeed(train(&scene, &run, &["--iterations", "60"]));
+    let said =
+        succeed(["refine", text(&run), "--out", text(&refined), "--iterations", "20", "--device", "cpu"]);
+    let psnr = |line: &&str| -> f64 { line.split_whitespace().nth(3).unwrap().parse().unwrap() };
+    let of = |when: &str, split: &str| {
+        said.lines().find(|line| line.starts_with(when) && line.contains(split)).as_ref().map(psnr).unwrap()
+    };
+    let (before, after) = (of("before", "train"), of("after", "train"));
+    assert!(after > before - 0.2, "{before} {after}: {said}");
+    let trained = number(&json(&run.join("metrics.json"))["train"]["psnr"]);
+    assert!((before - trained).abs() < 0.05, "{before} {trained}");
+}
+
+#[test]
+fn mistakes_about_corrections_are_sentences() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    // The shared scene has no tracks.
+    fail(
+        train(scene(), &out, &["--corrections", "on"]),
+        &["which photos share which points", "--corrections on"],
+    );
+    let output = run(train(scene(), &out, &["--corrections", "maybe"]));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(2) && said.contains("auto") && said.contains("--corrections"),
+        "{said}"
+    );
+    let scene = folder.path().join("scene");
+    write_scene(&scene, damage);
+    let white = ["--corrections", "on", "--background", "white"];
+    fail(train(&scene, &out, &white), &["a white background has no exposure", "--corrections on"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_that_was_stopped_goes_on_at_the_exposure_that_it_began_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, whole, broken] = ["scene", "whole", "broken"].map(|name| folder.path().join(name));
+    write_scene(&scene, damage);
+    let steps = ["--iterations", "900", "--max-gaussians", "600"];
+    succeed(train(&scene, &whole, &steps));
+    let mut stopped = command(train(&scene, &broken, &steps));
+    let output = signal(&mut stopped, &broken, r#""event":"step""#, "-INT");
+    assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
+    let other = [&steps[..], &["--resume", "--corrections", "off"]].concat();
+    fail(train(&scene, &broken, &other), &["dataset.corrections is auto there and off here"]);
+    succeed(train(&scene, &broken, &["--resume"]));
+    assert!(cloud(&whole) == cloud(&broken), "as if it had never been stopped");
+}
