@@ -9,7 +9,7 @@ use genesplat_core::View;
 use genesplat_io::{Scene, command_line, shown};
 use genesplat_metrics::{Evaluation, Lpips};
 use genesplat_train::scene::initialise::scene_extent;
-use genesplat_train::{Checkpoint, Outcome, RunSummary, Start, train};
+use genesplat_train::{Checkpoint, GrowthToCome, Outcome, RunSummary, Start, train};
 use genesplat_viewer::{Address, LiveView, Phase};
 
 use super::inputs::Inputs;
@@ -137,7 +137,8 @@ impl Run<'_> {
         let schedule = &settings.schedule;
         let curve = TestCurve::new(&scene.test, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
-        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked);
+        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked)
+            .expecting(GrowthToCome::new(schedule, &scene.train));
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
