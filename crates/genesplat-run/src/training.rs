@@ -1,6 +1,6 @@
 //! One run: from a loaded scene to a finished folder.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -21,6 +21,7 @@ use super::test_curve::TestCurve;
 use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
+use crate::files::resolved;
 use crate::live::Showing;
 use crate::output;
 use crate::output::Bar;
@@ -256,12 +257,28 @@ impl Run<'_> {
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 
-    fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
-        let (dataset, out, saved) =
-            (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
+    /// The command that makes the same splat beside this one, from wherever it is given.
+    fn repeating(&self, folder: &Path) -> String {
+        let folder = resolved(folder);
+        let [dataset, out, saved] =
+            [resolved(&self.settings.dataset.path), beside(&folder), folder.join(CONFIG)].map(shown);
+        let anyway = (!scene::is_promising(self.scene)).then_some("--anyway");
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
-        let (config, command) = (self.settings.to_toml(), command_line(words));
+        command_line(words.into_iter().chain(anyway))
+    }
+
+    fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
+        let (config, command) = (self.settings.to_toml(), self.repeating(folder));
         let (scene, timeline) = (self.scene, self.settings.schedule.timeline());
         RunPage { metrics, curves, scene, folder, config: &config, command: &command, timeline }.into_html()
     }
+}
+
+/// A folder of the same name with a word after it, which is not there yet.
+fn beside(folder: &Path) -> PathBuf {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    let named = |word: &str| folder.with_file_name(format!("{name}-{word}"));
+    let numbered = (2..).map(|number| named(&format!("again-{number}")));
+    let free = [named("again")].into_iter().chain(numbered).find(|path| !path.exists());
+    free.expect("a folder holds finitely many names")
 }

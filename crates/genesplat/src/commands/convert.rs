@@ -18,6 +18,7 @@ use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
 
+use super::next;
 use crate::args::ConvertArgs;
 
 /// Reads, cleans, cuts, writes, and says what that cost.
@@ -52,6 +53,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
+    next::after_splat(&args.out);
     let Some(scene) = scene else { return Ok(()) };
 
     let background = splat.settings.background;

@@ -12,7 +12,7 @@ use genesplat::run::{device, lpips, splat};
 use genesplat::terminal::output;
 use serde::Serialize;
 
-use super::{evaluate_pictures, lpips_install};
+use super::{evaluate_pictures, lpips_install, next};
 use crate::args::EvaluateArgs;
 
 #[derive(Serialize)]
@@ -67,5 +67,9 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
     let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };
-    args.json.write(&report)
+    args.json.write(&report)?;
+    if args.json.path.is_none() {
+        next::after_splat(path);
+    }
+    Ok(())
 }

@@ -40,7 +40,9 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let count = thousands(gaussians);
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
     let cameras = plural(views, "camera", "cameras");
-    output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))
+    output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))?;
+    output::tell("next   open it in any browser, or send it: the file is all that is needed");
+    Ok(())
 }
 
 fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {

@@ -8,6 +8,7 @@ use genesplat::run::output::WriteBar;
 use genesplat::run::{files, splat};
 use genesplat::terminal::output;
 
+use super::next;
 use crate::args::MergeArgs;
 use crate::blocks::merge::merge;
 
@@ -18,5 +19,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let options = Options { screen_filter: settings.filter, ..Options::default() };
     format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
     splat::tell_losses(format, &cloud, settings.filter);
-    output::print(&format!("{} Gaussians written to {}", thousands(cloud.len()), shown(&args.out)))
+    output::print(&format!("{} Gaussians written to {}", thousands(cloud.len()), shown(&args.out)))?;
+    next::after_splat(&args.out);
+    Ok(())
 }

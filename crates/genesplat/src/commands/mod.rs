@@ -9,6 +9,7 @@ mod export;
 mod inspect;
 mod lpips_install;
 mod merge;
+mod next;
 mod poses;
 mod refine;
 mod render;

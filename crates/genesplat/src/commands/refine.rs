@@ -24,6 +24,7 @@ use genesplat::train::{
 };
 use toml::Table;
 
+use super::next;
 use crate::args::RefineArgs;
 
 const ITERATIONS: u32 = 2000;
@@ -71,6 +72,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let settings = RenderSettings { background: splat.settings.background, ..written.settings };
     print_scores("after", &mut device, &scene, &settings)?;
     output::print(&format!("{gaussians} Gaussians written to {}", shown(&args.out)))?;
+    next::after_splat(&args.out);
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 

@@ -24,6 +24,7 @@ use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;
 use genesplat::train::{StepBudget, TrainConfig};
 
+use super::next;
 use crate::args::{SCENE, TrainArgs};
 use crate::poses::{self, Request};
 use crate::unpacked;
@@ -187,6 +188,7 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
             output::print(&output::scores_line("test", &metrics.test))?;
             output::print(&output::scores_line("train", &metrics.train))?;
             print_size(metrics, folder)?;
+            next::after_splat(folder);
             return Ok(Ending::Whole);
         }
         Ended::Stopped(metrics) => {

@@ -16,6 +16,7 @@ mod limits;
 mod live_page;
 mod lpips;
 mod mistakes;
+mod next;
 mod overwrite;
 mod pairs;
 mod peer;
