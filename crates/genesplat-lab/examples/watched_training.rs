@@ -92,7 +92,8 @@ fn train(scene: &Path, out: &Path, iterations: &str, is_watched: bool) -> Measur
     Measured { seconds: of("total") - of("load") - of("evaluate"), pictures }
 }
 
-/// Asks for a picture whenever one has come, until the page is closed; returns how many there were.
+/// Looks from one place, as who waits does, until the run has ended; returns how many pictures there were. (For
+/// who moves, training yields.)
 fn watch(child: &mut Child) -> JoinHandle<u32> {
     let mut lines = BufReader::new(child.stdout.take().expect("it is piped")).lines().map_while(Result::ok);
     let url =
@@ -102,7 +103,8 @@ fn watch(child: &mut Child) -> JoinHandle<u32> {
     thread::spawn(move || {
         let mut page = connect(&url);
         let mut pictures = 0;
-        while page.send(look(pictures)).is_ok() && await_picture(&mut page) {
+        let is_open = page.send(look(0)).is_ok();
+        while is_open && await_picture(&mut page) {
             pictures += 1;
         }
         pictures
@@ -113,13 +115,14 @@ fn await_picture(page: &mut WebSocket<TcpStream>) -> bool {
     loop {
         match page.read() {
             Ok(Message::Binary(_)) => return true,
+            // The run has ended; its page stays as long as somebody looks.
+            Ok(Message::Text(text)) if text.contains(r#""can_download":true"#) => return false,
             Ok(Message::Close(_)) | Err(_) => return false,
             Ok(_) => {}
         }
     }
 }
 
-/// From one camera after the other, as somebody who moves.
 fn look(sequence: u32) -> Message {
     Message::text(format!(
         r#"{{"type":"look","sequence":{sequence},"pose":{{"position":[0,0,0],"rotation":[1,0,0,0],"fov_y":1}},

@@ -40,6 +40,7 @@ pub mod metrics;
 pub mod numbers;
 pub mod output;
 pub mod overwrite;
+pub mod pace;
 pub mod photos;
 pub mod preparing;
 pub mod report;

@@ -42,6 +42,8 @@ pub trait Progress: Send {
     fn set(&mut self, position: u64, note: &dyn Fn() -> String);
     /// Work waits at `position` for what `note` says.
     fn wait(&mut self, position: u64, note: &dyn Fn() -> String);
+    /// Who does the work knows better how many seconds are left than the pieces that are done can tell.
+    fn foresee(&mut self, _seconds_left: Option<f64>) {}
 }
 
 static LISTENER: OnceLock<Box<dyn Tell>> = OnceLock::new();
@@ -115,6 +117,13 @@ impl Bar {
     pub fn set(&mut self, position: u64, note: impl Fn() -> String) {
         if let Some(progress) = &mut self.0 {
             progress.set(position, &note);
+        }
+    }
+
+    /// So many seconds are left, as who does the work knows.
+    pub(crate) fn foresee(&mut self, seconds_left: Option<f64>) {
+        if let Some(progress) = &mut self.0 {
+            progress.foresee(seconds_left);
         }
     }
 

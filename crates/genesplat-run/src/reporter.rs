@@ -5,6 +5,7 @@
 //! the run is told to stop.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 use anyhow::Result;
 use genesplat_core::CloudRenderer;
@@ -12,13 +13,14 @@ use genesplat_io::shown;
 use genesplat_train::observe::{
     DensifyLog, GenerationLog, LogRecord, StageKind, StageLog, StageRecord, StartLog, StepLog,
 };
-use genesplat_train::{Checkpoint, Observer};
+use genesplat_train::{Checkpoint, GrowthToCome, Observer};
 use genesplat_viewer::{LiveView, Owner};
 
 use crate::cluster::{self, Cluster};
 use crate::log::Log;
 use crate::numbers::thousands;
 use crate::output::{self, Bar};
+use crate::pace::Pace;
 use crate::session::{Caller, RunSession};
 use crate::test_curve::TestCurve;
 
@@ -37,6 +39,10 @@ pub struct Reporter<'a> {
     /// A search of so many generations, while gradient steps wait; its own bar, where there is no other.
     search: Option<(u32, Option<Bar>)>,
     gaussians: usize,
+    /// What is known of the growth to come; taken when the run begins.
+    growth: Option<GrowthToCome>,
+    /// How fast it goes, since when.
+    pace: Option<(Pace, Instant)>,
     /// Of the last photo, and of the test photos, dB.
     quality: (Option<f32>, Option<f64>),
     trouble: Option<anyhow::Error>,
@@ -70,6 +76,8 @@ impl<'a> Reporter<'a> {
             bar: None,
             search: None,
             gaussians: 0,
+            growth: None,
+            pace: None,
             quality: (None, None),
             trouble: None,
             brightness: 1.0,
@@ -79,6 +87,11 @@ impl<'a> Reporter<'a> {
     /// Shows the cloud this many times as bright.
     pub(crate) fn show_at(&mut self, brightness: f32) {
         self.brightness = brightness;
+    }
+
+    /// Knows how the cloud will grow, and so how long that will take.
+    pub(crate) fn expecting(self, growth: GrowthToCome) -> Self {
+        Self { growth: Some(growth), ..self }
     }
 
     pub(crate) fn into_result(self) -> Result<()> {
@@ -158,6 +171,9 @@ impl Observer for Reporter<'_> {
         if let Some(live) = &mut self.live {
             live.begin(device, *gaussians, log.iterations);
         }
+        let begin =
+            |growth| Pace::of_training(u64::from(log.iteration) - 1, log.iterations.into(), 0.0, growth);
+        self.pace = self.growth.take().map(|growth| (begin(growth), Instant::now()));
         self.log(&LogRecord::Start(log.clone()));
     }
 
@@ -166,6 +182,13 @@ impl Observer for Reporter<'_> {
             self.bar = Some(self.new_bar("training", u64::from(log.iteration) - 1, log.iterations.into()));
         }
         self.gaussians = log.gaussians;
+        if let Some((pace, began)) = &mut self.pace {
+            let seconds = began.elapsed().as_secs_f64();
+            pace.set(log.iteration.into(), seconds, log.gaussians);
+            let left = pace.seconds_left(seconds);
+            self.bar.iter_mut().for_each(|bar| bar.foresee(left));
+            self.live.iter_mut().for_each(|live| live.set_seconds_left(left));
+        }
         if let Some(live) = &mut self.live {
             live.step(log.iteration, log.gaussians, log.report.map(|report| report.loss));
         }

@@ -89,6 +89,11 @@ pub fn check_promising(scene: &Scene, anyway: bool) -> Result<()> {
     Ok(())
 }
 
+/// Whether there is hope of a good splat.
+pub(crate) fn is_promising(scene: &Scene) -> bool {
+    doubts(scene).is_empty()
+}
+
 fn read(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
     let _preparing = preparing::begin();
     let background = background.map(|value| (255.0 * value).round() as u8);

@@ -1,6 +1,6 @@
 //! One run: from a loaded scene to a finished folder.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -9,7 +9,7 @@ use genesplat_core::View;
 use genesplat_io::{Scene, command_line, shown};
 use genesplat_metrics::{Evaluation, Lpips};
 use genesplat_train::scene::initialise::scene_extent;
-use genesplat_train::{Checkpoint, Outcome, RunSummary, Start, train};
+use genesplat_train::{Checkpoint, GrowthToCome, Outcome, RunSummary, Start, train};
 use genesplat_viewer::{Address, LiveView, Phase};
 
 use super::inputs::Inputs;
@@ -22,6 +22,7 @@ use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
 use crate::exposure::{Exposure, Light};
+use crate::files::resolved;
 use crate::live::Showing;
 use crate::output;
 use crate::output::Bar;
@@ -141,7 +142,8 @@ impl Run<'_> {
         let curve = TestCurve::new(&scene.test, self.exposure, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
         let brightness = self.exposure.map_or(1.0, |exposure| 1.0 / exposure.dark);
-        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked);
+        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked)
+            .expecting(GrowthToCome::new(schedule, &scene.train));
         reporter.show_at(brightness);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;
@@ -266,12 +268,28 @@ impl Run<'_> {
         Ok(score(train, light.map(Light::brought), None)?.map(|train| (test, train.scores)))
     }
 
-    fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
-        let (dataset, out, saved) =
-            (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
+    /// The command that makes the same splat beside this one, from wherever it is given.
+    fn repeating(&self, folder: &Path) -> String {
+        let folder = resolved(folder);
+        let [dataset, out, saved] =
+            [resolved(&self.settings.dataset.path), beside(&folder), folder.join(CONFIG)].map(shown);
+        let anyway = (!scene::is_promising(self.scene)).then_some("--anyway");
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
-        let (config, command) = (self.settings.to_toml(), command_line(words));
+        command_line(words.into_iter().chain(anyway))
+    }
+
+    fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
+        let (config, command) = (self.settings.to_toml(), self.repeating(folder));
         let (scene, timeline) = (self.scene, self.settings.schedule.timeline());
         RunPage { metrics, curves, scene, folder, config: &config, command: &command, timeline }.into_html()
     }
+}
+
+/// A folder of the same name with a word after it, which is not there yet.
+fn beside(folder: &Path) -> PathBuf {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    let named = |word: &str| folder.with_file_name(format!("{name}-{word}"));
+    let numbered = (2..).map(|number| named(&format!("again-{number}")));
+    let free = [named("again")].into_iter().chain(numbered).find(|path| !path.exists());
+    free.expect("a folder holds finitely many names")
 }

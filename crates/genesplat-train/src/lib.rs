@@ -28,7 +28,8 @@ mod search;
 pub mod timeline;
 
 pub use config::{Background, ConfigError, StepBudget, TrainConfig};
-pub use density::{cap::expected_gaussians, selection::edge_scores};
+pub use density::cap::{GrowthToCome, expected_gaussians};
+pub use density::selection::edge_scores;
 pub use method::{MethodConfig, MethodName};
 pub use optimiser_step::OptimiserStep;
 pub use pipeline::train;

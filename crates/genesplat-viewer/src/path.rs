@@ -17,6 +17,16 @@ const VIEWS_MAX: usize = 10_000;
 /// How much nearer a spiral comes, and how far it goes aside, of the distance to the scene.
 const SPIRAL_REACH: f64 = 0.15;
 
+/// Views of an orbit, between which it is smooth.
+const RING_VIEWS: u32 = 48;
+/// A side without cameras that is wider than this is not gone through, radians: half of it is as far as views
+/// stay good.
+const GAP_MAX: f64 = 1.2;
+/// A path that turns back comes so much lower than it went, of the distance, on each side of the middle.
+const LIFT: f64 = 0.03;
+/// Cameras within about this angle of a side have a say there, radians.
+const NEAR_ANGLE: f64 = 0.25;
+
 /// Views that a camera passes, one after the other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
@@ -69,19 +79,18 @@ impl CameraPath {
         }
     }
 
-    /// Around what the cameras look at, at their mean distance and height, once.
+    /// Around what the cameras look at, where they were: at each side at the distance and height of those that
+    /// stood there. Where none stood on some side, it turns back before that.
     pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
-        let Framing { up, centre, distance } = Framing::of_cameras(cameras).ok_or(PathError::NoCameras)?;
+        let Framing { up, centre, .. } = Framing::of_cameras(cameras).ok_or(PathError::NoCameras)?;
         let (up, centre) = (DVec3::from(up), DVec3::from(centre));
-        let mean_height =
-            cameras.iter().map(|camera| (camera.centre_in_world() - centre).dot(up)).sum::<f64>();
-        let height = (mean_height / cameras.len() as f64).clamp(-0.9 * distance, 0.9 * distance);
-        let radius = (distance * distance - height * height).sqrt();
-        let start = (cameras[0].centre_in_world() - centre).reject_from_normalized(up);
-        let ahead = start.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
-        let views = (0..16).map(|step| DQuat::from_axis_angle(up, TAU * f64::from(step) / 16.0) * ahead);
-        let views =
-            views.map(|away| looking_at(centre + up * height + away * radius, centre, up, fov_y(cameras)));
+        let ring = Ring::of(cameras, centre, up);
+        let angles = ring.angles();
+        let fov_y = fov_y(cameras);
+        let views = angles.into_iter().map(|(angle, lift)| {
+            let (position, ahead) = ring.at(angle, lift);
+            looking_at(position, position + ahead, up, fov_y)
+        });
         Ok(Self { views: views.collect(), is_closed: true })
     }
 
@@ -135,6 +144,74 @@ impl CameraPath {
             rotation: [rotation.w, rotation.x, rotation.y, rotation.z],
             fov_y: a.fov_y + share * (b.fov_y - a.fov_y),
         }
+    }
+}
+
+/// Cameras around a centre, in the order of their sides.
+struct Ring {
+    centre: DVec3,
+    up: DVec3,
+    /// Two directions across it, from which angles are counted.
+    across: [DVec3; 2],
+    /// Angle, distance from the axis through the centre, height above the centre, direction of view.
+    places: Vec<(f64, f64, f64, DVec3)>,
+    /// Most cameras see the centre; else they look away from it.
+    is_seen: bool,
+}
+
+impl Ring {
+    fn of(cameras: &[Camera], centre: DVec3, up: DVec3) -> Self {
+        let start = (cameras[0].centre_in_world() - centre).reject_from_normalized(up);
+        let first = start.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
+        let across = [first, up.cross(first)];
+        let place = |camera: &Camera| {
+            let away = camera.centre_in_world() - centre;
+            let [x, y] = across.map(|axis| away.dot(axis));
+            (y.atan2(x).rem_euclid(TAU), x.hypot(y), away.dot(up), camera.axis_in_world())
+        };
+        let mut places: Vec<_> = cameras.iter().map(place).collect();
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let seeing = cameras.iter().filter(|camera| camera.camera_from_world(centre).z > 0.0).count();
+        Self { centre, up, across, places, is_seen: 2 * seeing > cameras.len() }
+    }
+
+    /// The angles of the path's views, and how much higher each is, in distances.
+    fn angles(&self) -> Vec<(f64, f64)> {
+        let next = |index: usize| {
+            let count = self.places.len();
+            self.places[(index + 1) % count].0 + if index + 1 == count { TAU } else { 0.0 }
+        };
+        let gap = |index: &usize| next(*index) - self.places[*index].0;
+        let widest = (0..self.places.len()).max_by(|a, b| gap(a).total_cmp(&gap(b))).expect("there is one");
+        let turns = (0..RING_VIEWS).map(|step| TAU * f64::from(step) / f64::from(RING_VIEWS));
+        if gap(&widest) <= GAP_MAX {
+            return turns.map(|turn| (turn, 0.0)).collect();
+        }
+        // From the first camera after the gap to the last before it, and a little lower back.
+        let (from, arc) = (next(widest), TAU - gap(&widest));
+        turns.map(|turn| (from + arc * (0.5 - 0.5 * turn.cos()), LIFT * turn.sin())).collect()
+    }
+
+    /// Where the camera is at an angle, and where it looks: as those that stood near, nearer ones more.
+    fn at(&self, angle: f64, lift: f64) -> (DVec3, DVec3) {
+        let apart = |other: f64| {
+            let turn = (other - angle).rem_euclid(TAU);
+            turn.min(TAU - turn)
+        };
+        let least = self.places.iter().map(|place| apart(place.0)).fold(TAU, f64::min);
+        let weight = |other: f64| (-0.5 * ((apart(other) - least) / NEAR_ANGLE).powi(2)).exp();
+        let mut sums = (0.0, 0.0, 0.0, DVec3::ZERO);
+        for &(other, radius, height, axis) in &self.places {
+            let weight = weight(other);
+            sums =
+                (sums.0 + weight, sums.1 + weight * radius, sums.2 + weight * height, sums.3 + weight * axis);
+        }
+        let radius = sums.1 / sums.0;
+        let height = sums.2 / sums.0 + lift * radius;
+        let away = self.across[0] * angle.cos() + self.across[1] * angle.sin();
+        let position = self.centre + radius * away + height * self.up;
+        let ahead = if self.is_seen { self.centre - position } else { sums.3 };
+        (position, ahead.try_normalize().unwrap_or(-away))
     }
 }
 
@@ -204,6 +281,40 @@ mod tests {
             assert!(above.y < seen.y, "{frame}: it stands on its head");
         }
         assert!(cameras[0].centre_in_world().distance(cameras[20].centre_in_world()) > 5.0, "it goes around");
+    }
+
+    /// Half a ring, as of a facade: the path stays among its cameras, and turns back.
+    #[test]
+    fn an_orbit_goes_no_further_than_cameras_were() {
+        let half: Vec<Camera> = ring(24).drain(..13).collect();
+        let orbit = CameraPath::orbit(&half).unwrap();
+        let cameras = orbit.cameras(60, 64, 48);
+        for camera in &cameras {
+            let nearest = half.iter().map(|known| known.centre_in_world().distance(camera.centre_in_world()));
+            let nearest = nearest.fold(f64::INFINITY, f64::min);
+            assert!(nearest < 0.6, "{nearest} from the nearest camera");
+        }
+        let reach = cameras[0].centre_in_world().distance(cameras[30].centre_in_world());
+        assert!(reach > 5.5, "it reaches from end to end: {reach}");
+        let step = |a: usize, b: usize| cameras[a].centre_in_world().distance(cameras[b].centre_in_world());
+        assert!(step(59, 0) < 0.3, "its end is its beginning");
+    }
+
+    /// Taken from the middle of a room, to all sides.
+    #[test]
+    fn an_orbit_of_cameras_that_look_outwards_does_so_too() {
+        let outward: Vec<Camera> = (0..16)
+            .map(|index| f64::from(index) / 16.0 * TAU)
+            .map(|angle| {
+                let away = DVec3::new(angle.cos(), 0.0, angle.sin());
+                looking_at(0.5 * away, 3.0 * away, -DVec3::Y, 0.8).camera(64, 48)
+            })
+            .collect();
+        for camera in CameraPath::orbit(&outward).unwrap().cameras(30, 64, 48) {
+            let place = camera.centre_in_world();
+            assert!(place.length() < 0.6, "{place}");
+            assert!(camera.axis_in_world().dot(place.normalize_or(DVec3::X)) > 0.8, "{place}");
+        }
     }
 
     #[test]

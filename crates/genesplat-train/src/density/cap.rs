@@ -3,6 +3,8 @@
 use genesplat_core::View;
 
 use crate::config::TrainConfig;
+use crate::schedule::Schedule;
+use crate::timeline::Growth;
 
 /// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same
 /// things.
@@ -98,6 +100,46 @@ impl Cap {
 /// determine.
 pub fn expected_gaussians(config: &TrainConfig, views: &[View]) -> usize {
     Cap::new(config, views).get().unwrap_or_else(|| cap_from_photos(views, 1.0))
+}
+
+/// What is known beforehand of how a cloud will grow.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GrowthToCome {
+    /// At each percent of the run, where density control follows a plan.
+    planned: Option<Vec<f64>>,
+    iterations: u32,
+    until: u32,
+    most: Option<f64>,
+}
+
+impl GrowthToCome {
+    /// Of a run with these settings on these photos.
+    pub fn new(schedule: &Schedule, views: &[View]) -> Self {
+        let timeline = schedule.timeline();
+        let most = Cap::new(schedule.config(), views).get().map(|cap| cap as f64);
+        let iterations = schedule.iterations.max(1);
+        let at = |percent: u32| (u64::from(iterations) * u64::from(percent) / 100) as u32;
+        let planned = most
+            .filter(|_| timeline.growth != Growth::Free)
+            .map(|most| (0..=100).map(|percent| most * timeline.grown(at(percent), views.len())).collect());
+        Self { planned, iterations, until: timeline.densify.until, most }
+    }
+
+    /// Gaussians that are planned for an iteration.
+    pub fn planned(&self, iteration: u32) -> Option<f64> {
+        let percent = 100 * u64::from(iteration) / u64::from(self.iterations);
+        self.planned.as_ref().map(|planned| planned[percent.min(100) as usize].max(1.0))
+    }
+
+    /// The iteration from which on there is no growth.
+    pub fn until(&self) -> u32 {
+        self.until
+    }
+
+    /// Gaussians that there will be at most.
+    pub fn most(&self) -> Option<f64> {
+        self.most
+    }
 }
 
 /// As many Gaussians as the photos can determine, times `capacity`.

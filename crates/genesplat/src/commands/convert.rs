@@ -22,6 +22,7 @@ use genesplat::terminal::output;
 use glam::{DQuat, DVec3};
 
 use super::loss::{PHOTOS, Sample};
+use super::next;
 use crate::args::ConvertArgs;
 
 /// Reads, cleans, cuts, places, writes, and says what that cost.
@@ -67,7 +68,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
-    photos.map_or(Ok(()), |photos| say_loss(&photos, splat, &placed, offset, args))
+    photos.map_or(Ok(()), |photos| say_loss(&photos, splat, &placed, offset, args))?;
+    next::after_splat(&args.out);
+    Ok(())
 }
 
 /// What a loss is measured on.

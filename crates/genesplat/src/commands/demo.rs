@@ -28,6 +28,7 @@ use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 use genesplat::train::{MethodName, TrainConfig};
 
+use super::next;
 use crate::args::{DemoArgs, SearchArgs};
 
 /// The published schedule in this fraction of its steps.
@@ -69,6 +70,11 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     }
     output::print(&format!("\n{}", table(&results[0], &results[1])))?;
     show(args, &scene, &halves, &results)?;
+    let run = shown(halves[1].session.path());
+    next::tell(&[
+        (&["view", &run], "look at it in a browser"),
+        (&["train", "PHOTOS", "--poses", "--out", "RUN", "--view"], "now your photos, or a video"),
+    ]);
     Ok(Ending::Whole)
 }
 

@@ -13,7 +13,7 @@ use genesplat::run::{device, lpips, splat};
 use genesplat::terminal::output;
 use serde::Serialize;
 
-use super::{evaluate_pictures, lpips_install};
+use super::{evaluate_pictures, lpips_install, next};
 use crate::args::EvaluateArgs;
 
 #[derive(Serialize)]
@@ -86,7 +86,11 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), light)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_told(name, &found)))?;
-    args.json.write(&report(scene.name, (args.split, size, gaussians), found))
+    args.json.write(&report(scene.name, (args.split, size, gaussians), found))?;
+    if args.json.path.is_none() {
+        next::after_splat(path);
+    }
+    Ok(())
 }
 
 fn report(dataset: String, (split, size, gaussians): (Split, [u32; 2], usize), found: Scores) -> Report {

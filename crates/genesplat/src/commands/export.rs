@@ -48,10 +48,13 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
     let cameras = plural(views, "camera", "cameras");
     output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))?;
-    let Some((sample, before, mut backend)) = loss else { return Ok(()) };
-    let written = format::parse(&args.out, Format::Spz, &spz)?;
-    let after = sample.psnr_of(&mut backend, written.cloud, &settings)?;
-    sample.tell(before, after)
+    if let Some((sample, before, mut backend)) = loss {
+        let written = format::parse(&args.out, Format::Spz, &spz)?;
+        let after = sample.psnr_of(&mut backend, written.cloud, &settings)?;
+        sample.tell(before, after)?;
+    }
+    output::tell("next   open it in any browser, or send it: the file is all that is needed");
+    Ok(())
 }
 
 fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {

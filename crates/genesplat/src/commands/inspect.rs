@@ -8,6 +8,7 @@ use genesplat::run::settings::Dataset;
 use genesplat::terminal::output;
 use genesplat::train::TrainConfig;
 
+use super::next;
 use crate::args::{InspectArgs, PhotosArgs};
 use crate::inspect::{inspect_run, inspect_scene, inspect_splat};
 
@@ -32,7 +33,14 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
         () => inspect_scene(&Dataset::of(what, &args.photos.asked()?), &config_of(args))?,
     };
     output::print(&report.to_text())?;
-    args.json.write(&report)
+    args.json.write(&report)?;
+    match () {
+        // Other programs know what they do next.
+        () if args.json.path.is_some() => {}
+        () if is_splat || is_run(what) => next::after_splat(what),
+        () => next::after_scene(what),
+    }
+    Ok(())
 }
 
 /// What a training is taken to be.

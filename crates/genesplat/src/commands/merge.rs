@@ -8,6 +8,7 @@ use genesplat::run::output::WriteBar;
 use genesplat::run::{files, splat};
 use genesplat::terminal::output;
 
+use super::next;
 use crate::args::MergeArgs;
 use crate::blocks::merge::{Merged, merge};
 
@@ -19,5 +20,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
     splat::write_offset(&args.out, offset)?;
     splat::tell_losses(format, &cloud, settings.filter);
-    output::print(&format!("{} Gaussians written to {}", thousands(cloud.len()), shown(&args.out)))
+    output::print(&format!("{} Gaussians written to {}", thousands(cloud.len()), shown(&args.out)))?;
+    next::after_splat(&args.out);
+    Ok(())
 }

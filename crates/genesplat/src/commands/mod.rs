@@ -12,6 +12,7 @@ mod inspect;
 mod loss;
 mod lpips_install;
 mod merge;
+mod next;
 mod poses;
 mod refine;
 mod render;

@@ -25,6 +25,7 @@ use genesplat::train::{
 };
 use toml::Table;
 
+use super::next;
 use crate::args::RefineArgs;
 
 const ITERATIONS: u32 = 2000;
@@ -88,6 +89,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let settings = RenderSettings { background: splat.settings.background, ..written.settings };
     print_scores("after", &mut device, (&scene, exposure.as_ref().map(Light::finished)), &settings)?;
     output::print(&format!("{gaussians} Gaussians written to {}", shown(&args.out)))?;
+    next::after_splat(&args.out);
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 

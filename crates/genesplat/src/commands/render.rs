@@ -15,6 +15,7 @@ use genesplat::run::{device, files, overwrite, scene, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 
+use super::next;
 use super::render_path::{self, is_film};
 use crate::args::{RenderArgs, RenderSplit};
 
@@ -93,6 +94,8 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         return Ok(Ending::Stopped);
     }
     output::print(&format!("{done} {pictures} written to {out}"))?;
+    let splat = shown(&args.splat.path);
+    next::tell(&[(&["render", &splat, "--path", "orbit", "--out", "orbit.mp4"], "a film around it")]);
     Ok(Ending::Whole)
 }
 

@@ -20,6 +20,7 @@ use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 use genesplat::viewer::path::CameraPath;
 
+use super::next;
 use super::render::STOPPING;
 use crate::args::{PathChoice, RenderArgs};
 use crate::programs::Programs;
@@ -44,6 +45,7 @@ pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
     }
     sink.finish()?;
     output::print(&format!("{} frames written to {}", cameras.len(), shown(&args.out)))?;
+    next::after_splat(&args.splat.path);
     Ok(Ending::Whole)
 }
 

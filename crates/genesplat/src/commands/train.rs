@@ -26,6 +26,7 @@ use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;
 use genesplat::train::{StepBudget, TrainConfig};
 
+use super::next;
 use crate::args::{SCENE, TrainArgs};
 use crate::poses::{self, Request};
 use crate::unpacked;
@@ -199,6 +200,7 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
             print_test(metrics)?;
             output::print(&output::scores_line("train", &metrics.train))?;
             print_size(metrics, folder)?;
+            next::after_splat(folder);
             return Ok(Ending::Whole);
         }
         Ended::Stopped(metrics) => {

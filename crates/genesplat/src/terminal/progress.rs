@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use genesplat_run::numbers::{duration, thousands, time_left};
 use genesplat_run::output::{Progress, Work};
+use genesplat_run::pace::Pace;
 use terminal_size::{Width, terminal_size_of};
 
 use super::output;
@@ -83,6 +84,9 @@ pub(crate) struct Bar {
     what: String,
     total: u64,
     pace: Pace,
+    began: Instant,
+    /// Seconds that are left, where somebody has said so.
+    foreseen: Option<f64>,
     form: Form,
 }
 
@@ -109,7 +113,8 @@ impl Bar {
         let is_drawn = io::stderr().is_terminal() && !output::is_quiet() && !screen.is_taken;
         screen.is_taken |= is_drawn;
         let form = if is_drawn { Form::Drawn(None) } else { Form::Silent };
-        Self { what: what.to_owned(), total, pace: Pace::from(position), form }
+        let pace = Pace::of(position, total, 0.0);
+        Self { what: what.to_owned(), total, pace, began: Instant::now(), foreseen: None, form }
     }
 
     fn draw(&self, position: u64, note: &str) {
@@ -120,9 +125,10 @@ impl Bar {
 
 impl Progress for Bar {
     fn set(&mut self, position: u64, note: &dyn Fn() -> String) {
-        self.pace.set(position, self.total);
+        let now = self.began.elapsed().as_secs_f64();
+        self.pace.set(position, now, 0);
         let is_last = position >= self.total;
-        let left = self.pace.seconds_left(position, self.total).filter(|_| !is_last);
+        let left = self.foreseen.or_else(|| self.pace.seconds_left(now)).filter(|_| !is_last);
         let left = left.map_or(String::new(), |seconds| format!("{} left", time_left(seconds)));
         match &mut self.form {
             Form::Drawn(last) if last.is_none_or(|last| last.elapsed() >= DRAW_PAUSE) => {
@@ -132,7 +138,7 @@ impl Progress for Bar {
             Form::Lines(lines) => {
                 let percent = percent(position, self.total);
                 if lines.take_turn(percent, is_last) {
-                    let passed = duration(self.pace.passed().as_secs_f64());
+                    let passed = duration(self.pace.passed(now));
                     let parts = [counted(&self.what, position, self.total), passed, left, note()];
                     output::tell(&joined(&parts));
                 }
@@ -146,6 +152,10 @@ impl Progress for Bar {
             *last = None;
             self.draw(position, &note());
         }
+    }
+
+    fn foresee(&mut self, seconds_left: Option<f64>) {
+        self.foreseen = seconds_left;
     }
 }
 
@@ -183,38 +193,6 @@ fn counted(what: &str, position: u64, total: u64) -> String {
 
 fn joined(parts: &[String]) -> String {
     parts.iter().filter(|part| !part.is_empty()).map(String::as_str).collect::<Vec<_>>().join(", ")
-}
-
-/// How fast work proceeds: as in the later half of what is done, since iterations get slower while a cloud
-/// grows.
-struct Pace {
-    /// Position and time at the start, and at each percent that was reached.
-    marks: Vec<(u64, Instant)>,
-}
-
-impl Pace {
-    fn from(position: u64) -> Self {
-        Self { marks: vec![(position, Instant::now())] }
-    }
-
-    fn set(&mut self, position: u64, total: u64) {
-        let last = self.marks[self.marks.len() - 1].0;
-        if percent(position, total) > percent(last, total) {
-            self.marks.push((position, Instant::now()));
-        }
-    }
-
-    fn passed(&self) -> Duration {
-        self.marks[0].1.elapsed()
-    }
-
-    /// `None` where nothing is done yet.
-    fn seconds_left(&self, position: u64, total: u64) -> Option<f64> {
-        let middle = self.marks[0].0.midpoint(position);
-        let (from, when) = *self.marks.iter().rfind(|(mark, _)| *mark <= middle)?;
-        let (done, left) = (position.checked_sub(from)?, total.saturating_sub(position));
-        (done > 0).then(|| when.elapsed().as_secs_f64() * left as f64 / done as f64)
-    }
 }
 
 struct Lines {
@@ -297,15 +275,5 @@ mod tests {
     fn a_line_says_how_far_work_is() {
         let parts = [counted("training", 14_100, 30_000), String::new(), "3 min left".into()];
         assert_eq!(joined(&parts), "training: 47 % (14,100 of 30,000), 3 min left");
-    }
-
-    #[test]
-    fn the_time_left_is_reckoned_from_the_later_half() {
-        let ago = |seconds| Instant::now() - Duration::from_secs(seconds);
-        // Iterations 0 to 50 took a second each, 50 to 100 two seconds.
-        let pace = Pace { marks: vec![(0, ago(150)), (50, ago(100)), (100, ago(0))] };
-        let seconds = pace.seconds_left(100, 400).expect("something is done");
-        assert!((seconds - 600.0).abs() < 1.0, "{seconds}");
-        assert_eq!(Pace::from(7).seconds_left(7, 9), None);
     }
 }

@@ -244,7 +244,8 @@ fn flat_gaussians_are_shown_with_a_thickness() {
         let notices = String::from_utf8(output.stderr).unwrap();
         assert!(output.status.success() && notices.contains("2dgs.ply are flat (2DGS"), "{notices}");
     }
-    assert_eq!(run(["inspect", text(&out)]).stderr, b"", "what was written has a third scale");
+    let said = String::from_utf8(run(["inspect", text(&out)]).stderr).unwrap();
+    assert!(!said.contains("notice: "), "what was written has a third scale: {said}");
 }
 
 #[test]
@@ -268,7 +269,7 @@ fn what_a_format_has_no_place_for_is_said() {
         assert!(output.status.success());
         String::from_utf8(output.stderr).unwrap()
     };
-    assert_eq!(notices("a.ply"), "");
+    assert!(!notices("a.ply").contains("notice: "));
     assert!(notices("a.spz").contains("3D filter"));
     assert!(notices("a.glb").contains("antialiased"));
 }

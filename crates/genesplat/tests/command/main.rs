@@ -19,6 +19,7 @@ mod limits;
 mod live_page;
 mod lpips;
 mod mistakes;
+mod next;
 mod overwrite;
 mod pairs;
 mod peer;

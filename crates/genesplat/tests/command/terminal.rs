@@ -35,7 +35,16 @@ fn no_driver_speaks_unless_it_is_asked() {
         .output()
         .unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
-    let ours = ["photos: ", "training: ", "averaged ", "kept ", "scores: ", "notice: "];
+    let ours = [
+        "photos: ",
+        "training: ",
+        "averaged ",
+        "kept ",
+        "scores: ",
+        "notice: ",
+        "next   ",
+        "       genesplat ",
+    ];
     let of_device = |line: &str| line.ends_with("training photos");
     let foreign = |line: &&str| !of_device(line) && !ours.iter().any(|head| line.starts_with(head));
     assert_eq!(stderr.lines().find(foreign), None, "{stderr}");
