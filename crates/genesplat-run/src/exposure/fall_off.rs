@@ -1,7 +1,7 @@
 //! Lenses that show corners darker than the middle: one number for all photos of a scene.
 //!
-//! A pixel at the share `r²` of the way to the corner, squared, is `exp(fall_off · r²)` times as bright. The number is the one
-//! by which points come out alike wherever in a photo they are seen.
+//! A pixel at the share `r²` of the way to the corner, squared, is `exp(fall_off · r²)` times as bright. The
+//! number is the one by which points come out alike wherever in a photo they are seen.
 
 use genesplat_core::Camera;
 

@@ -4,8 +4,8 @@
 //! A photo has three numbers, the factors by which its red, green and blue are brighter than on average of
 //! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
 //! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
-//! have the mean 0, so no cast drifts in. Whether they are worth anything is judged on the halves of photos: the gain
-//! that one half tells must make the other half more alike, and else all is as if nobody had asked.
+//! have the mean 0, so no cast drifts in. Whether they are worth anything is judged on the halves of photos:
+//! the gain that one half tells must make the other half more alike, and else all is as if nobody had asked.
 //!
 //! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
 //!
