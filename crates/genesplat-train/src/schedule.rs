@@ -4,7 +4,7 @@ use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsReq
 
 use crate::config::TrainConfig;
 use crate::method::Method;
-use crate::timeline::{Event, Timeline, VirtualSteps, thousands};
+use crate::timeline::{Event, Haste, Timeline, VirtualSteps, thousands};
 
 /// Every second step looks at a virtual view where photos are no more than this, every fourth where they are
 /// no more than twice as many, and so on. (Even, so that the iterations whose loss is logged, multiples of
@@ -64,19 +64,25 @@ impl Schedule {
     /// Gradients of `B` views tell the direction `√B` times as well as those of one, so steps are as much
     /// longer.
     pub fn rates(&self, extent: f64, i: u32) -> LearningRates {
+        self.hasty_rates(extent, i, None)
+    }
+
+    /// The same in a run that looks at each photo seldom, where there is haste.
+    pub(crate) fn hasty_rates(&self, extent: f64, i: u32, haste: Option<Haste>) -> LearningRates {
         let method = &self.config.method;
-        let (start, end) = (method.position_rate_start, method.position_rate_end);
+        let Haste { position: sooner, others } = haste.unwrap_or(Haste { position: 1.0, others: 1.0 });
+        let (start, end) = (method.position_rate_start * sooner, method.position_rate_end);
         let t = (f64::from(i) / f64::from(self.timeline.position_steps)).min(1.0);
         let position = (start.ln() * (1.0 - t) + end.ln() * t).exp();
         let by_views = f64::from(self.config.views_per_step).sqrt();
-        let grown = |rate: f32| (f64::from(rate) * by_views) as f32;
+        let grown = |rate: f64| (f64::from(rate as f32) * by_views) as f32;
         LearningRates {
             position: (position * extent * by_views) as f32,
-            sh_dc: grown(method.feature_rate as f32),
-            sh_rest: grown((method.feature_rate / REST_RATES) as f32),
-            opacity: grown(method.opacity_rate),
-            scale: grown(method.scale_rate),
-            rotation: grown(method.rotation_rate),
+            sh_dc: grown(method.feature_rate * others),
+            sh_rest: grown(method.feature_rate / REST_RATES * others),
+            opacity: grown(f64::from(method.opacity_rate) * others),
+            scale: grown(f64::from(method.scale_rate) * others),
+            rotation: grown(method.rotation_rate.into()),
         }
     }
 
@@ -111,9 +117,16 @@ impl Schedule {
             }
         }
         let method = &self.config.method;
-        let (start, end) = (method.position_rate_start, method.position_rate_end);
+        let haste = self.timeline.haste(photos);
+        let start = method.position_rate_start * haste.map_or(1.0, |haste| haste.position);
+        let end = method.position_rate_end;
         let steps = thousands(self.timeline.position_steps);
         lines.push(format!("the rate of positions falls from {start:e} to {end:e} over {steps}"));
+        if let Some(Haste { others, .. }) = haste {
+            lines.push(format!(
+                "few looks at each photo: other rates but rotations' are {others} times as high"
+            ));
+        }
         lines
     }
 

@@ -192,15 +192,17 @@ pub(crate) enum Growth {
     Even,
     /// Improved-GS: full after `full` of the iterations that densification has, and until then in proportion
     /// to their root, or gradually.
-    Ramp { full: [f64; 2], gradual: Option<Gradual> },
+    /// By the power `gradual`, where each photo is looked at often.
+    Ramp { full: [f64; 2], gradual: Option<f64> },
 }
 
-/// Growth by a power of the iterations, in a run that looks at each photo often.
+/// How much higher rates are in a run that looks at each photo seldom.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Gradual {
-    pub(crate) power: f64,
-    /// Steps for each photo from which it counts.
-    pub(crate) looks: u32,
+pub(crate) struct Haste {
+    /// That of positions at the start.
+    pub(crate) position: f64,
+    /// Those of colours, opacities and scales.
+    pub(crate) others: f64,
 }
 
 /// Improved-GS: what has recovered its opacity slowly after a reset is pruned.
@@ -269,6 +271,10 @@ pub struct Timeline {
     pub(crate) size_prune_after: u32,
     /// What is pruned for having recovered slowly, if anything is.
     pub(crate) recovery: Option<Recovery>,
+    /// Fewer steps than this for each photo are few.
+    pub(crate) few_looks: u32,
+    /// What rates are then.
+    pub(crate) haste: Option<Haste>,
 }
 
 impl Timeline {
@@ -294,6 +300,8 @@ impl Timeline {
             growth: Growth::Free,
             size_prune_after: length.scaled(SIZE_PRUNE_AFTER).min(length.interval(method.reset_every)),
             recovery: None,
+            few_looks: 0,
+            haste: None,
         };
         timeline.add(Event::Densify, timeline.densifications());
         timeline
@@ -389,13 +397,21 @@ impl Timeline {
                 (f64::from(i) / f64::from(last)).min(1.0)
             }
             Growth::Ramp { full, gradual } => {
-                let looks = self.iterations / (photos as u32).max(1);
                 let ramp = self.ramp(full, i).clamp(0.0, 1.0);
-                gradual
-                    .filter(|gradual| looks >= gradual.looks)
-                    .map_or_else(|| ramp.sqrt(), |gradual| ramp.powf(gradual.power))
+                let gradual = gradual.filter(|_| !self.looks_seldom(photos));
+                gradual.map_or_else(|| ramp.sqrt(), |power| ramp.powf(power))
             }
         }
+    }
+
+    /// The run sees each of so many photos few times.
+    fn looks_seldom(&self, photos: usize) -> bool {
+        self.iterations / (photos as u32).max(1) < self.few_looks
+    }
+
+    /// How much higher rates are in a run from points with so many photos, if they are.
+    pub(crate) fn haste(&self, photos: usize) -> Option<Haste> {
+        self.haste.filter(|_| self.looks_seldom(photos))
     }
 
     /// The limit had its full height before iteration `i`.

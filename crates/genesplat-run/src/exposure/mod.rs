@@ -1,11 +1,11 @@
-//! Photos of other exposure and white balance than the rest: brought to one exposure before training, where
-//! points that photos share say that it helps.
+//! Photos of other exposure and white balance than the rest: brought to one exposure before training, by what
+//! the points that photos share say, where somebody asks for it.
 //!
 //! A photo has three numbers, the factors by which its red, green and blue are brighter than on average of
 //! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
 //! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
-//! have the mean 0, so no cast drifts in. Whether they are worth anything is judged on the halves of photos:
-//! the gain that one half tells must make the other half more alike, and else all is as if nobody had asked.
+//! have the mean 0, so no cast drifts in. What they explain is told by the halves of photos: how much more alike
+//! one half becomes by the gain that the other half tells.
 //!
 //! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
 //!
@@ -24,7 +24,7 @@ mod samples;
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, ensure};
 use genesplat_core::View;
 use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
@@ -34,12 +34,6 @@ pub use light::{Light, Shade};
 
 use crate::output;
 
-/// Share of what shared points differ by that gains must explain to be kept.
-const WORTH: f64 = 0.33;
-
-/// Least spread of exposure that is worth a correction, stops.
-const STOPS_MIN: f32 = 0.15;
-
 /// Darkest that photos are made, so that 8 bits still tell their shades apart.
 const DARK_MIN: f32 = 0.4;
 
@@ -47,12 +41,10 @@ const DARK_MIN: f32 = 0.4;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Corrections {
-    /// Where it helps by what shared points say.
-    #[default]
-    Auto,
-    /// Whatever they say.
+    /// They are, by what shared points say.
     On,
-    /// Never.
+    /// They are trained on as they are.
+    #[default]
     Off,
 }
 
@@ -60,7 +52,6 @@ impl Corrections {
     /// As flags and files call it.
     pub(crate) fn name(self) -> &'static str {
         match self {
-            Self::Auto => "auto",
             Self::On => "on",
             Self::Off => "off",
         }
@@ -84,28 +75,19 @@ pub struct Exposure {
 }
 
 /// The exposure of the photos of `scene`, which is shown on `background`, if they are to be brought to one,
-/// and says why or why not.
+/// and says what they differ by.
 pub fn decide(scene: &Scene, asked: Corrections, background: [f32; 3]) -> Result<Option<Exposure>> {
     if asked == Corrections::Off {
         return Ok(None);
     }
-    let found = if background == [0.0; 3] { estimate(scene)? } else { None };
-    let Some(exposure) = found else {
-        let why = match background == [0.0; 3] {
-            true => {
-                "the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared"
-            }
-            false => "a white background has no exposure",
-        };
-        if asked == Corrections::On {
-            bail!("photos cannot be brought to one exposure: {why}; leave out --corrections on");
-        }
-        return Ok(None);
-    };
-    let is_worth = f64::from(exposure.explained) >= WORTH && exposure.stops >= STOPS_MIN;
-    let is_kept = asked == Corrections::On || is_worth;
-    output::tell(&exposure.sentence(is_kept, scene));
-    Ok(is_kept.then_some(exposure))
+    let cannot =
+        |why: &str| anyhow!("photos cannot be brought to one exposure: {why}; leave out --corrections on");
+    ensure!(background == [0.0; 3], cannot("a white background has no exposure"));
+    let exposure = estimate(scene)?.ok_or_else(|| {
+        cannot("the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared")
+    })?;
+    output::tell(&exposure.sentence(scene));
+    Ok(Some(exposure))
 }
 
 /// What shared points say; `None` where they say nothing.
@@ -170,17 +152,10 @@ impl Exposure {
         }
     }
 
-    /// What was found, and whether it is kept.
-    fn sentence(&self, is_kept: bool, scene: &Scene) -> String {
+    /// What was found.
+    fn sentence(&self, scene: &Scene) -> String {
         let percent = (100.0 * self.explained).round().max(0.0);
         let differ = format!("photos differ by {:.2} stops", self.stops);
-        if !is_kept {
-            let least = 100.0 * WORTH;
-            return format!(
-                "{differ}, and keep their exposure: one exposure would explain {percent} % of what shared points differ by, and it \
-                 pays from {STOPS_MIN} stops and {least} % on (--corrections on does it all the same)"
-            );
-        }
         let alone =
             |views: &[View]| views.iter().filter(|view| !self.photos.contains_key(&view.name)).count();
         let as_they_are = match alone(&scene.train) + alone(&scene.test) {
@@ -190,8 +165,7 @@ impl Exposure {
             }
         };
         format!(
-            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by{} (--corrections off \
-             leaves them as they are){as_they_are}",
+            "{differ}, and are brought to one exposure, which explains {percent} % of what shared points differ by{}{as_they_are}",
             self.corners()
         )
     }

@@ -88,9 +88,13 @@ settings! {
     /// pixels, and the pixels of one photo over 0.3. A lower `max_gaussians` counts.
     capacity: f64,
     /// The cloud approaches its limit by the power 1.5 of the iterations of density control, and not along
-    /// Improved-GS's root. (A run of less than 5,000 iterations, or of less than 50 for each photo, follows
-    /// the root in any case.)
+    /// Improved-GS's root. (A run of less than 5,000 iterations, or of less than `few_looks` for each photo,
+    /// follows the root in any case.)
     gradual_growth: bool,
+    /// A run that looks at each photo fewer times than this is still learning at its end, and hurries: the rate
+    /// of positions starts 8 times as high, and those of colours, opacities and scales are twice as high. A
+    /// finished splat is refined without haste. 0 for never.
+    few_looks: u32,
     /// The mean of the states of the last two fifths of the run is the result.
     averaging: bool,
     /// A run that looks at each photo so often also trains on virtual views: every second step of its last 70

@@ -67,6 +67,7 @@ impl Method for ThreeDgs {
             scale_weight: 0.0,
             capacity: 0.0,
             gradual_growth: false,
+            few_looks: 0,
             averaging: false,
             virtual_views: 0,
         }

@@ -266,6 +266,29 @@ fn the_position_rate_decays_a_hundredfold() {
     }
 }
 
+/// 7,000 steps look 50 times at each of 140 photos.
+#[test]
+fn rates_are_higher_where_each_photo_is_seen_seldom() {
+    let schedule = schedule_of(MethodName::Genesplat, |config| config.iterations = 7000);
+    let haste = |photos| schedule.timeline().haste(photos);
+    assert_eq!((haste(12), haste(140)), (None, None));
+    let [usual, hasty] = [None, haste(141)].map(|haste| schedule.hasty_rates(2.0, 1, haste));
+    let ratio = |of: fn(&LearningRates) -> f32| of(&hasty) / of(&usual);
+    assert!((ratio(|rates| rates.position) - 8.0).abs() < 0.01, "it falls to the same end");
+    assert_eq!(
+        [ratio(|r| r.sh_dc), ratio(|r| r.sh_rest), ratio(|r| r.opacity), ratio(|r| r.scale)],
+        [2.0; 4]
+    );
+    assert_eq!(hasty.rotation, usual.rotation);
+    assert!(schedule.lines(141).iter().any(|line| line.contains("few looks")));
+    assert!(!schedule.lines(140).iter().any(|line| line.contains("few looks")));
+    let mut config = TrainConfig { iterations: 7000, ..TrainConfig::default() };
+    config.method.few_looks = 0;
+    assert_eq!(config.resolve().unwrap().timeline().haste(7000), None);
+    let published = TrainConfig { iterations: 7000, ..TrainConfig::of(MethodName::ImprovedGs) };
+    assert_eq!(published.resolve().unwrap().timeline().haste(7000), None);
+}
+
 #[test]
 fn the_degree_rises_at_the_start_of_every_thousandth_iteration() {
     let schedule = schedule(|_| {});

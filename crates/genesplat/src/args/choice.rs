@@ -70,8 +70,7 @@ pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
 
 /// `--corrections`.
 pub(crate) const CORRECTIONS: &[Choice<Corrections>] = &[
-    (Corrections::Auto, &["auto"], "Where points that photos share say that it helps"),
-    (Corrections::On, &["on"], "Whatever they say; an error where they say nothing"),
+    (Corrections::On, &["on"], "By what points that photos share say; an error where they say nothing"),
     (Corrections::Off, &["off"], "Photos are trained on as they are"),
 ];
 

@@ -44,7 +44,8 @@ pub(crate) struct TrainArgs {
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
     /// Whether photos are brought to one exposure and white balance before training, each by three numbers
-    /// that COLMAP's points tell [default: auto]. Renders then show the mean exposure, and test photos are
+    /// that COLMAP's points tell [default: off]. Experimental: of three scenes two gained half a dB by it, and
+    /// one lost (docs/scenes.md). Renders then show the mean exposure, and test photos are
     /// compared with renders at the photo's own
     #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS))]
     pub(crate) corrections: Option<Corrections>,

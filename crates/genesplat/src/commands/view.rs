@@ -60,7 +60,7 @@ fn follow(
     serve: &dyn Fn(&mut Showing, &dyn Fn() -> bool),
 ) -> Result<()> {
     let iterations = ConfigFile::of_run(run)?.train.resolve()?.iterations;
-    while !stop.load(Ordering::Relaxed) && !(followed.is_finished() && !followed.has_news()) {
+    while !stop.load(Ordering::Relaxed) && (!followed.is_finished() || followed.has_news()) {
         if let Some(cloud) = followed.news()? {
             gaussians = cloud.len();
             showing.device.upload(cloud.into())?;

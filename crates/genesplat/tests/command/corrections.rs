@@ -50,7 +50,7 @@ fn photos_of_other_exposure_are_brought_to_one_and_every_figure_is_named() {
     let [scene, first, second, off] =
         ["scene", "first", "second", "off"].map(|name| folder.path().join(name));
     write_scene(&scene, damage);
-    let short = ["--iterations", "40", "--threads", "1"];
+    let short = ["--iterations", "40", "--threads", "1", "--corrections", "on"];
     let output = run(train(&scene, &first, &short));
     assert!(output.status.success());
     let (said, told) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
@@ -72,23 +72,11 @@ fn photos_of_other_exposure_are_brought_to_one_and_every_figure_is_named() {
         assert!((again - value).abs() < 0.05, "{name}: {again} {value}");
     }
     assert!((number(&found["cc_psnr"]) - figure("test_cc_psnr")).abs() < 0.05);
-    succeed(train(&scene, &second, &["--iterations", "40", "--threads", "2"]));
+    succeed(train(&scene, &second, &["--iterations", "40", "--threads", "2", "--corrections", "on"]));
     assert!(cloud(&first) == cloud(&second), "same seed, same bytes");
-    succeed(train(&scene, &off, &[&short[..], &["--corrections", "off"]].concat()));
+    succeed(train(&scene, &off, &short[..4]));
     let metrics = json(&off.join("metrics.json"));
     assert!(metrics.get("exposure").is_none() && cloud(&off) != cloud(&first));
-}
-
-#[test]
-fn photos_of_one_exposure_train_as_if_nobody_had_asked() {
-    let folder = tempfile::tempdir().unwrap();
-    let [scene, auto, off] = ["scene", "auto", "off"].map(|name| folder.path().join(name));
-    write_scene(&scene, |_| 1.0);
-    let told = String::from_utf8(run(train(&scene, &auto, &["--iterations", "10"])).stderr).unwrap();
-    assert!(told.contains("keep their exposure") && told.contains("--corrections on"), "{told}");
-    succeed(train(&scene, &off, &["--iterations", "10", "--corrections", "off"]));
-    assert!(cloud(&auto) == cloud(&off));
-    assert!(json(&auto.join("metrics.json")).get("exposure").is_none());
 }
 
 #[test]
@@ -96,7 +84,7 @@ fn a_refined_splat_stays_at_the_mean_exposure() {
     let folder = tempfile::tempdir().unwrap();
     let [scene, run, refined] = ["scene", "run", "refined.ply"].map(|name| folder.path().join(name));
     write_scene(&scene, damage);
-    succeed(train(&scene, &run, &["--iterations", "60"]));
+    succeed(train(&scene, &run, &["--iterations", "60", "--corrections", "on"]));
     let said =
         succeed(["refine", text(&run), "--out", text(&refined), "--iterations", "20", "--device", "cpu"]);
     let psnr = |line: &&str| -> f64 { line.split_whitespace().nth(3).unwrap().parse().unwrap() };
@@ -121,7 +109,7 @@ fn mistakes_about_corrections_are_sentences() {
     let output = run(train(scene(), &out, &["--corrections", "maybe"]));
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(
-        output.status.code() == Some(2) && said.contains("auto") && said.contains("--corrections"),
+        output.status.code() == Some(2) && said.contains("off") && said.contains("--corrections"),
         "{said}"
     );
     let scene = folder.path().join("scene");
@@ -136,13 +124,13 @@ fn a_run_that_was_stopped_goes_on_at_the_exposure_that_it_began_with() {
     let folder = tempfile::tempdir().unwrap();
     let [scene, whole, broken] = ["scene", "whole", "broken"].map(|name| folder.path().join(name));
     write_scene(&scene, damage);
-    let steps = ["--iterations", "900", "--max-gaussians", "600"];
+    let steps = ["--iterations", "900", "--max-gaussians", "600", "--corrections", "on"];
     succeed(train(&scene, &whole, &steps));
     let mut stopped = command(train(&scene, &broken, &steps));
     let output = signal(&mut stopped, &broken, r#""event":"step""#, "-INT");
     assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
     let other = [&steps[..], &["--resume", "--corrections", "off"]].concat();
-    fail(train(&scene, &broken, &other), &["dataset.corrections is auto there and off here"]);
+    fail(train(&scene, &broken, &other), &["dataset.corrections is on there and off here"]);
     succeed(train(&scene, &broken, &["--resume"]));
     assert!(cloud(&whole) == cloud(&broken), "as if it had never been stopped");
 }
