@@ -33,9 +33,6 @@ use crate::listing::COORDINATE_MAX;
 const ENTRIES_PER_LINE: usize = 64;
 /// Labels have 16 bits.
 const ENTRIES_MAX: usize = 1 << 16;
-/// A palette has an entry for so many Gaussians, as far as labels reach: with fewer entries, splats of degree 3
-/// lose a tenth of a dB and more (docs/formats.md).
-const GAUSSIANS_PER_ENTRY: usize = 1;
 
 /// A file has at most so many.
 const PICTURES: usize = 7;
@@ -147,8 +144,9 @@ fn write_base_colours(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians
     Coded { files: [archive.add("sh0.webp", Picture::of(grid, pixels))], codebook: codebook.into_values() }
 }
 
+/// One entry for each Gaussian, as far as labels reach.
 fn palette_size(gaussians: usize) -> usize {
-    gaussians.div_ceil(GAUSSIANS_PER_ENTRY).clamp(1, ENTRIES_MAX)
+    gaussians.clamp(1, ENTRIES_MAX)
 }
 
 /// Takes the harmonics out of the cloud, of which only these are left to be written.
