@@ -287,7 +287,7 @@ fn a_run_that_nobody_looks_at_ends_and_ctrl_c_closes_a_page_that_stays() {
 fn a_run_without_a_page_is_joined_by_view_which_follows_it_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let more = ["--iterations", "3000", "--max-gaussians", "800", "--checkpoint-every", "20", "--no-lpips"];
+    let more = ["--iterations", "100000", "--max-gaussians", "800", "--checkpoint-every", "20", "--no-lpips"];
     let mut training =
         command(train(scene(), &out, &more)).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
     while !out.join("checkpoint/latest.checkpoint").exists() {
@@ -297,7 +297,7 @@ fn a_run_without_a_page_is_joined_by_view_which_follows_it_to_its_end() {
     let served = Served::start(command(["view", text(&out), "--device", "cpu"]));
     let mut page = served.page();
     let state = await_state(&mut page, |state| state["phase"] == "following");
-    assert_eq!(state["iterations"], 3000);
+    assert_eq!(state["iterations"], 100_000);
     page.send(look(1, "colour")).unwrap();
     while !matches!(hear(&mut page), Heard::Picture) {}
     let before = state["iteration"].as_u64().unwrap();
