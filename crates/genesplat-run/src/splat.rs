@@ -1,7 +1,6 @@
 //! Finished splats, from a file or from the folder of a run.
 
 use std::fmt::Display;
-use std::fs;
 use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -17,7 +16,7 @@ use genesplat_train::Background;
 use glam::DVec3;
 
 use crate::exposure::Exposure;
-use crate::files::{unwritable, write_file};
+use crate::files::{remove_if_there, write_file};
 use crate::inputs::{Inputs, notice_changes};
 use crate::output;
 use crate::preparing;
@@ -308,9 +307,9 @@ pub fn write_offset(out: &Path, offset: Option<Offset>) -> Result<()> {
     let beside = offset::file_beside(out);
     let there = offset::read_beside(out);
     let Some(by) = offset else {
-        let is_ours = matches!(there, Ok(Some(_)));
-        let removed = if is_ours { fs::remove_file(&beside) } else { Ok(()) };
-        return removed.map_err(|error| unwritable(&beside, &error));
+        let (folder, name) =
+            (beside.parent().unwrap_or(Path::new("")), beside.file_name().unwrap_or_default());
+        return if matches!(there, Ok(Some(_))) { remove_if_there(folder, name) } else { Ok(()) };
     };
     ensure!(
         there.is_ok(),
