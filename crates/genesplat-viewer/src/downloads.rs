@@ -43,6 +43,8 @@ pub(crate) struct Downloads {
 struct Inner {
     /// Files can be had: the cloud is not trained meanwhile.
     is_open: bool,
+    /// Which cloud is shown; another one has another number.
+    cloud: u64,
     under_way: usize,
     slots: [Slot; 2],
 }
@@ -53,6 +55,8 @@ struct Slot {
     /// How many answers there were.
     answers: u64,
     made: Option<Arc<Vec<u8>>>,
+    /// The cloud that it was made of. Whoever waited for an older one still gets it.
+    made_of: u64,
 }
 
 /// A file on its way; its memory is free again when the last is dropped.
@@ -116,8 +120,9 @@ impl Downloads {
     fn wait_for(&self, download: Download) -> Result<Arc<Vec<u8>>, Status> {
         let until = Instant::now() + MAKE_WAIT;
         let mut inner = self.lock();
+        let cloud = inner.cloud;
         let slot = &mut inner.slots[download as usize];
-        if let Some(made) = &slot.made {
+        if let Some(made) = slot.made.as_ref().filter(|_| slot.made_of == cloud) {
             return Ok(made.clone());
         }
         slot.is_wanted = true;
@@ -135,11 +140,11 @@ impl Downloads {
 
 /// For the thread that renders.
 impl Downloads {
-    /// Files can be had from now on, or no longer; what was made shows an older cloud.
+    /// Files can be had from now on, or no longer; what was made before is of an older cloud.
     pub(crate) fn set_open(&self, is_open: bool) {
         let mut inner = self.lock();
         inner.is_open = is_open;
-        inner.slots.iter_mut().for_each(|slot| slot.made = None);
+        inner.cloud += 1;
         self.answered.notify_all();
     }
 
@@ -156,11 +161,12 @@ impl Downloads {
     /// `None` where it cannot be made.
     pub(crate) fn answer(&self, download: Download, made: Option<Vec<u8>>) {
         let mut inner = self.lock();
-        let is_awaited = inner.under_way > 0;
+        let (is_awaited, cloud) = (inner.under_way > 0, inner.cloud);
         let slot = &mut inner.slots[download as usize];
         slot.is_wanted = false;
         slot.answers += 1;
         slot.made = made.map(Arc::new).filter(|_| is_awaited);
+        slot.made_of = cloud;
         self.answered.notify_all();
     }
 
@@ -192,6 +198,22 @@ mod tests {
             for asker in askers {
                 assert_eq!(asker.join().unwrap(), Ok(vec![7]));
             }
+        });
+        thread::scope(|scope| {
+            let [old, new] = [vec![1], vec![2]];
+            let asker = scope.spawn(|| downloads.ask(Download::Splat).map(|parcel| parcel.bytes().to_vec()));
+            while downloads.wanted().is_none() {
+                thread::yield_now();
+            }
+            downloads.answer(Download::Splat, Some(old));
+            downloads.set_open(true);
+            assert_eq!(asker.join().unwrap(), Ok(vec![1]), "another cloud came before it was taken");
+            let asker = scope.spawn(|| downloads.ask(Download::Splat).map(|parcel| parcel.bytes().to_vec()));
+            while downloads.wanted().is_none() {
+                thread::yield_now();
+            }
+            downloads.answer(Download::Splat, Some(new));
+            assert_eq!(asker.join().unwrap(), Ok(vec![2]));
         });
         assert!(!downloads.is_busy() && downloads.lock().slots.iter().all(|slot| slot.made.is_none()));
         thread::scope(|scope| {
