@@ -43,6 +43,8 @@ pub(crate) struct Downloads {
 struct Inner {
     /// Files can be had: the cloud is not trained meanwhile.
     is_open: bool,
+    /// Nothing will be made any more.
+    has_ended: bool,
     /// Which cloud is shown; another one has another number.
     cloud: u64,
     under_way: usize,
@@ -127,7 +129,7 @@ impl Downloads {
         }
         slot.is_wanted = true;
         let before = slot.answers;
-        while inner.is_open && inner.slots[download as usize].answers == before {
+        while !inner.has_ended && inner.slots[download as usize].answers == before {
             let left = until.saturating_duration_since(Instant::now());
             if left.is_zero() {
                 return Err(Status::Busy);
@@ -145,6 +147,13 @@ impl Downloads {
         let mut inner = self.lock();
         inner.is_open = is_open;
         inner.cloud += 1;
+        self.answered.notify_all();
+    }
+
+    /// Whoever still waits is told that nothing comes.
+    pub(crate) fn end(&self) {
+        let mut inner = self.lock();
+        (inner.is_open, inner.has_ended) = (false, true);
         self.answered.notify_all();
     }
 
@@ -212,6 +221,8 @@ mod tests {
             while downloads.wanted().is_none() {
                 thread::yield_now();
             }
+            downloads.set_open(false);
+            downloads.set_open(true);
             downloads.answer(Download::Splat, Some(new));
             assert_eq!(asker.join().unwrap(), Ok(vec![2]));
         });
@@ -223,6 +234,14 @@ mod tests {
             }
             downloads.answer(Download::Page, None);
             assert_eq!(asker.join().unwrap(), Some(Status::NotMade));
+        });
+        thread::scope(|scope| {
+            let asker = scope.spawn(|| downloads.ask(Download::Page).err());
+            while downloads.wanted() != Some(Download::Page) {
+                thread::yield_now();
+            }
+            downloads.end();
+            assert_eq!(asker.join().unwrap(), Some(Status::NotMade), "the server ends");
         });
     }
 }

@@ -79,7 +79,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.shared.hub.close();
-        self.shared.downloads.set_open(false);
+        self.shared.downloads.end();
         // Wakes the thread that accepts.
         let _ = TcpStream::connect_timeout(
             &SocketAddr::new(reachable(self.address.ip()), self.address.port()),
