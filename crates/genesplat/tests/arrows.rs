@@ -220,6 +220,19 @@ fn documents() -> Vec<PathBuf> {
     documents
 }
 
+/// Who uses genesplat or works on it is promised so many words to read, besides the laboratory's diary.
+const WORDS_MAX: usize = 15_000;
+
+#[test]
+fn documents_for_readers_are_short() {
+    let is_diary = |path: &PathBuf| path.parent().is_some_and(|folder| folder.ends_with("lab"));
+    let others = ["fuzz/README.md", "crates/genesplat/assets/README.md"].map(|name| root().join(name));
+    let words = |path: PathBuf| std::fs::read_to_string(path).expect("a document").split_whitespace().count();
+    let all: usize = documents().into_iter().filter(|path| !is_diary(path)).chain(others).map(words).sum();
+    assert!(all > WORDS_MAX / 2, "{all} words: documents are found");
+    assert!(all <= WORDS_MAX, "{all} words; what can go?");
+}
+
 #[test]
 fn documents_name_files_that_exist() {
     let mut seen = 0;

@@ -2,6 +2,8 @@
 //! Gaussian, so that large ones in sparse places grow; near the camera it is scaled by `min(1, (z / (0.37 ·
 //! extent))²)`, where that would grow floaters.
 //!
+//! What differs: only pixels with a gradient count, since those that a mask hides have none.
+//!
 //! Zhang et al., "Pixel-GS: Density Control with Pixel-aware Gradient for 3D Gaussian Splatting", ECCV 2024.
 
 use genesplat_core::DensitySignal;

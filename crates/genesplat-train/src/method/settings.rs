@@ -74,10 +74,8 @@ settings! {
     reset_every: u32,
     /// Fraction of Gaussians added each time, until the limit is reached; not negative.
     growth: f64,
-    /// Exploration noise, in multiples of the position rate; not negative. As in the authors' code it is in
-    /// the scene's own units: its reach grows with the square of the cameras' extent (gsplat brings scenes to
-    /// an extent of about 1 first). A scene whose extent is below 1 or above 10 is measured as if it were 1
-    /// or 10.
+    /// Exploration noise, in multiples of the position rate; not negative. It is in the scene's own units, as
+    /// in the authors' code, but for extents below 1 or above 10.
     noise: f32,
     /// Weight of the mean opacity in the loss; not negative. Higher leaves more Gaussians to relocate.
     opacity_weight: f32,
@@ -88,12 +86,10 @@ settings! {
     /// pixels, and the pixels of one photo over 0.3. A lower `max_gaussians` counts.
     capacity: f64,
     /// The cloud approaches its limit by the power 1.5 of the iterations of density control, and not along
-    /// Improved-GS's root. (A run of less than 5,000 iterations, or of less than `few_looks` for each photo,
-    /// follows the root in any case.)
+    /// Improved-GS's root; runs of less than 5,000 iterations, or `few_looks` for each photo, follow the root.
     gradual_growth: bool,
-    /// A run that looks at each photo fewer times than this is still learning at its end, and hurries: the rate
-    /// of positions starts 8 times as high, and those of colours, opacities and scales are twice as high. A
-    /// finished splat is refined without haste. 0 for never.
+    /// Where a run from points looks at each photo fewer times than this, the rate of positions starts 8 times
+    /// as high, and those of colours, opacities and scales are twice as high. 0 for never.
     few_looks: u32,
     /// The mean of the states of the last two fifths of the run is the result.
     averaging: bool,
