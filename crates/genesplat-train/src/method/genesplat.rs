@@ -31,7 +31,8 @@ const GRADUAL: f64 = 1.5;
 const FEW_LOOKS: u32 = 50;
 
 /// Its rates, in those of Improved-GS, which are for runs that see a photo a hundred times. (Bonsai, 7,000 steps
-/// at 200 px, on validation photos: positions alone +0.2 dB, with scales +0.5, all of them +0.6.)
+/// at 200 px, on validation photos: positions alone +0.2 dB, with scales +0.5, all of them +0.6.
+/// Improved-GS gains as much by them.)
 const HASTE: Haste = Haste { position: 8.0, others: 2.0 };
 
 /// A shorter run grows along Improved-GS's root: a cloud that is small for half of so short a run never
