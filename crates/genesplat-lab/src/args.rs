@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 use genesplat::flags::{JsonArgs, LpipsArgs, MachineArgs, SizeArgs, VolumeArgs, scale};
 use genesplat::run::settings::THREADS;
+use genesplat::train::MethodName;
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
                            SIGTERM with what there was saved (experiment)";
@@ -26,6 +27,8 @@ pub(crate) enum Command {
     /// Repeat a comparison over scenes, methods and seeds, and make its tables; can be interrupted and goes
     /// on
     Experiment(ExperimentArgs),
+    /// Measure how long a method takes to the PSNR with which another one ends
+    Quality(QualityArgs),
     /// Measure how fast this machine trains
     Bench {
         /// What to measure
@@ -69,6 +72,58 @@ pub(crate) struct ExperimentArgs {
     pub(crate) machine: MachineArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct QualityArgs {
+    /// Folder of the scene, which holds photos out
+    pub(crate) scene: PathBuf,
+    /// Folder for the runs; made if it is missing. The same command goes on with what is unfinished in it
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Test PSNR to reach, dB [default: that with which the reference ends]
+    #[arg(long, value_name = "DB", value_parser = psnr)]
+    pub(crate) target: Option<f64>,
+    /// Method of the reference
+    #[arg(long, value_name = "METHOD", default_value = "3dgs", value_parser = method, conflicts_with = "target")]
+    pub(crate) reference: MethodName,
+    /// Its training steps
+    #[arg(long, value_name = "N", default_value_t = 7000, value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "target")]
+    pub(crate) reference_iterations: u32,
+    /// Method that is to reach it
+    #[arg(long, value_name = "METHOD", default_value = "genesplat", value_parser = method)]
+    pub(crate) method: MethodName,
+    /// Training steps of its first run; each further one has half as many again
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) shortest: u32,
+    /// Training steps of its last run
+    #[arg(long, value_name = "N", default_value_t = 30_000, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) longest: u32,
+    /// Seed of all runs
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Train at most this many Gaussians, in all runs [default: as each method says]
+    #[arg(long, value_name = "N")]
+    pub(crate) max_gaussians: Option<usize>,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
+    #[command(flatten)]
+    pub(crate) machine: MachineArgs,
+}
+
+fn psnr(text: &str) -> Result<f64, String> {
+    let valid = |psnr: &f64| (1.0..=100.0).contains(psnr);
+    text.parse().ok().filter(valid).ok_or_else(|| "a number between 1 and 100 is needed".into())
+}
+
+fn method(text: &str) -> Result<MethodName, String> {
+    let named = MethodName::ALL.into_iter().find(|method| method.name() == text);
+    named.ok_or_else(|| {
+        let names = MethodName::ALL.map(MethodName::name).join(", ");
+        format!("there is no such method; the methods are {names}")
+    })
 }
 
 #[derive(Debug, Args)]

@@ -24,6 +24,7 @@
 //! what was there before.
 
 pub mod cluster;
+pub mod cost;
 pub mod device;
 mod digest;
 pub mod exposure;
@@ -37,6 +38,7 @@ mod log;
 pub mod lpips;
 pub mod memory;
 pub mod metrics;
+pub mod minutes;
 pub mod numbers;
 pub mod output;
 pub mod overwrite;
@@ -45,6 +47,7 @@ pub mod photos;
 pub mod preparing;
 pub mod report;
 pub mod reporter;
+pub mod sampled;
 pub mod scene;
 pub mod score;
 pub mod session;

@@ -28,7 +28,7 @@ mod search;
 pub mod timeline;
 
 pub use config::{Background, ConfigError, StepBudget, TrainConfig};
-pub use density::cap::{GrowthToCome, expected_gaussians};
+pub use density::cap::{GrowthToCome, expected_gaussians, starting_gaussians};
 pub use density::selection::edge_scores;
 pub use method::{MethodConfig, MethodName};
 pub use optimiser_step::OptimiserStep;

@@ -2,6 +2,7 @@
 
 mod bench;
 mod experiment;
+mod quality;
 mod tables;
 
 use std::path::Path;
@@ -16,6 +17,10 @@ use crate::args::{Arguments, Bench, Command};
 pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     match arguments.command {
         Command::Experiment(args) => return experiment::run(&args),
+        Command::Quality(args) => {
+            check_json(&args.json, None)?;
+            return quality::run(&args);
+        }
         Command::Bench { what } => bench(&what),
         Command::Tables(args) => tables::run(&args),
     }
@@ -23,21 +28,22 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
 }
 
 /// What `--json` names passes here before anything is read.
+fn check_json(json: &JsonArgs, splat: Option<&Path>) -> Result<()> {
+    json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, &[splat]))
+}
+
 fn bench(what: &Bench) -> Result<()> {
-    let check = |json: &JsonArgs, splat: Option<&Path>| {
-        json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, &[splat]))
-    };
     match what {
         Bench::Step(args) => {
-            check(&args.json, args.workload.source.splat.as_deref())?;
+            check_json(&args.json, args.workload.source.splat.as_deref())?;
             bench::step::run(args)
         }
         Bench::Genetic(args) => {
-            check(&args.json, args.workload.source.splat.as_deref())?;
+            check_json(&args.json, args.workload.source.splat.as_deref())?;
             bench::genetic::run(args)
         }
         Bench::Gpu(args) => {
-            check(&args.json, args.source.splat.as_deref())?;
+            check_json(&args.json, args.source.splat.as_deref())?;
             bench::gpu::run(args)
         }
     }

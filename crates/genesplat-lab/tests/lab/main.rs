@@ -3,6 +3,7 @@
 mod bench;
 mod experiment;
 mod kills;
+mod quality;
 mod refused;
 #[allow(dead_code, reason = "the command's tests use the rest")]
 #[path = "../../../genesplat/tests/command/support.rs"]

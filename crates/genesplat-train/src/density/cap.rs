@@ -102,6 +102,11 @@ pub fn expected_gaussians(config: &TrainConfig, views: &[View]) -> usize {
     Cap::new(config, views).get().unwrap_or_else(|| cap_from_photos(views, 1.0))
 }
 
+/// How many Gaussians a run from so many points begins with.
+pub fn starting_gaussians(config: &TrainConfig, views: &[View], points: usize) -> usize {
+    points.min(Cap::new(config, views).most_points(points))
+}
+
 /// What is known beforehand of how a cloud will grow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GrowthToCome {

@@ -118,8 +118,7 @@ impl TrainArgs {
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         self.schedule.override_config(train);
         // So many as are asked for, and not a tenth of them.
-        if self.preset.is_some() && self.schedule.iterations.is_some() && self.schedule.steps_scale.is_none()
-        {
+        if self.preset.is_some() && self.schedule.is_long_as_asked() && self.schedule.steps_scale.is_none() {
             train.steps_scale = 1.0;
         }
         self.search.override_config(train)?;
@@ -142,6 +141,10 @@ pub(crate) struct ScheduleArgs {
     /// cut short
     #[arg(long, value_name = "N", aliases = STEPS, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
+    /// Train for about M minutes on this machine, loading and scoring included: as many iterations as fit, at
+    /// most 30000, by what a few steps take here. The run's config.toml has their number, and repeats it
+    #[arg(long, value_name = "M", value_parser = minutes, conflicts_with_all = ["iterations", "resume", "steps_scale"])]
+    pub(crate) minutes: Option<f64>,
     /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square
     /// root; makes sense where many processes share a run, and steps are fewer
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = MORE)]
@@ -165,6 +168,11 @@ pub(crate) struct ScheduleArgs {
 }
 
 impl ScheduleArgs {
+    /// How long a run is is asked for, in steps or in minutes.
+    fn is_long_as_asked(&self) -> bool {
+        self.iterations.is_some() || self.minutes.is_some()
+    }
+
     fn override_config(&self, train: &mut TrainConfig) {
         if let Some(name) = self.method.filter(|&name| name != train.method.name) {
             // The settings of a file are those of its own method.
@@ -276,6 +284,11 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
     if let Some(value) = flag {
         *setting = value;
     }
+}
+
+fn minutes(text: &str) -> Result<f64, String> {
+    let valid = |minutes: &f64| (0.1..=10_000.0).contains(minutes);
+    text.parse().ok().filter(valid).ok_or_else(|| "a number between 0.1 and 10000 is needed".into())
 }
 
 fn positive(text: &str) -> Result<usize, String> {

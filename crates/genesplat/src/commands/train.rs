@@ -15,6 +15,7 @@ use genesplat::run::exposure::{self, Exposure};
 use genesplat::run::inputs::Inputs;
 use genesplat::run::live::Showing;
 use genesplat::run::metrics::Metrics;
+use genesplat::run::minutes::room;
 use genesplat::run::numbers::{duration, thousands};
 use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine, Settings};
@@ -66,7 +67,7 @@ fn end(sentence: &str) {
 /// By this process, or by several of which this is one.
 fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Ending> {
     let began = Instant::now();
-    let Some(loaded) = cluster::agree(cluster, load(args, stop, cluster))? else {
+    let Some(loaded) = cluster::agree(cluster, load(args, stop, cluster, began))? else {
         output::print("stopped; the same command goes on from there")?;
         return Ok(Ending::Stopped);
     };
@@ -113,14 +114,19 @@ struct Loaded {
 }
 
 /// One process claims the folder. `None` where it was stopped before it loaded anything.
-fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Option<Loaded>> {
+fn load(
+    args: &TrainArgs,
+    stop: &AtomicBool,
+    cluster: Option<&Cluster>,
+    began: Instant,
+) -> Result<Option<Loaded>> {
     overwrite::check_apart(args.dataset(), &args.out)?;
     let session = match cluster {
         Some(cluster) if !cluster.is_root() => RunSession::follow(&args.out, args.resume),
         _ => RunSession::claim(&args.out, Caller::Train, args.resume)?,
     };
     let over = |train: &mut TrainConfig| args.override_config(train);
-    let config = ConfigFile::of_training(&args.asked(&over)?)?;
+    let mut config = ConfigFile::of_training(&args.asked(&over)?)?;
     let mut machine = Machine::from(args.machine);
     if cluster.is_some() {
         check_ranks(args, &config.train)?;
@@ -149,7 +155,27 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     exposure.as_ref().map_or(Ok(()), |exposure| exposure.bring(&mut scene, Some(&spill)))?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips.asked())?;
+    if let Some(minutes) = args.schedule.minutes {
+        config.train.iterations =
+            iterations_within(minutes, began, &config, machine, &scene, lpips.as_ref())?;
+    }
     Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, exposure, lpips }))
+}
+
+/// So many fit into the minutes that are left.
+fn iterations_within(
+    minutes: f64,
+    began: Instant,
+    config: &ConfigFile,
+    machine: Machine,
+    scene: &Scene,
+    lpips: Option<&Lpips>,
+) -> Result<u32> {
+    let mut device = device::open(config.clone().resolve(machine)?.device)?;
+    let left = 60.0 * minutes - began.elapsed().as_secs_f64();
+    let room = room(left, &config.train, scene, &mut device, lpips)?;
+    output::tell(&room.sentence);
+    Ok(room.iterations)
 }
 
 /// Fails where ranks cannot do what is asked for.
@@ -163,6 +189,7 @@ fn check_ranks(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
         "one process unpacks archives: unpack {} first, and train on its folder under mpirun",
         shown(args.dataset())
     );
+    ensure!(args.schedule.minutes.is_none(), "ranks do not agree on minutes; give --iterations instead");
     ensure!(args.page.address().is_none(), "a run under mpirun has no live page; leave --view out");
     ensure!(
         !args.machine.device().is_some_and(DeviceChoice::is_graphics),

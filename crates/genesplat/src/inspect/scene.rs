@@ -10,7 +10,7 @@ use genesplat::train::scene::initialise::scene_extent;
 use genesplat::train::{Schedule, TrainConfig};
 
 use super::cameras::{PointsSeen, points_seen};
-use super::cost::{Cost, estimate};
+use super::cost::Needs;
 use super::{Fact, Report, cameras, offset, photos};
 
 /// Iterations of a quick run, whose time is said beside that of the run that no flag changes.
@@ -37,7 +37,7 @@ pub(crate) fn inspect_scene(dataset: &Dataset, config: &TrainConfig) -> Result<R
         photos::warnings(&views)?,
     ]
     .concat();
-    facts.extend(expected(&estimate(&scene, &settings)?, settings.iterations));
+    facts.extend(expected(&scene, &settings)?);
     facts.push(timeline(&settings, scene.train.len()));
     Ok(Report { kind: "scene", facts, warnings })
 }
@@ -143,17 +143,19 @@ fn timeline(settings: &Schedule, photos: usize) -> Fact {
     )
 }
 
-fn expected(cost: &Cost, iterations: u32) -> [Fact; 3] {
-    let [all, quick] = [iterations, QUICK].map(|count| cost.step_seconds * f64::from(count));
+fn expected(scene: &Scene, settings: &Schedule) -> Result<[Fact; 3]> {
+    let needs = Needs::of(scene, settings)?;
+    let quick = TrainConfig { iterations: QUICK, ..settings.config().clone() }.resolve()?;
+    let [all, quick] = [settings, &quick].map(|settings| needs.seconds(scene, settings));
     let shown = format!(
         "at most about {} on this machine's CPU for {} iterations; {} with --iterations {QUICK}",
         time_left(all),
-        thousands(iterations as usize),
+        thousands(settings.iterations as usize),
         time_left(quick)
     );
-    [
-        Fact::new("Gaussians", cost.gaussians, format!("at most {}", thousands(cost.gaussians))),
-        Fact::new("memory", cost.memory_bytes, format!("at most about {}", memory(cost.memory_bytes))),
+    Ok([
+        Fact::new("Gaussians", needs.gaussians, format!("at most {}", thousands(needs.gaussians))),
+        Fact::new("memory", needs.memory_bytes, format!("at most about {}", memory(needs.memory_bytes))),
         Fact::new("time", all, shown),
-    ]
+    ])
 }

@@ -37,7 +37,7 @@ pub(crate) fn program_of(command: &std::ffi::OsStr) -> PathBuf {
         (None, Some(lab)) => lab,
         (None, None) => panic!("cargo names no program"),
     };
-    if ["experiment", "bench", "tables"].iter().any(|own| command == *own) {
+    if ["experiment", "quality", "bench", "tables"].iter().any(|own| command == *own) {
         return lab.into();
     }
     let beside = Path::new(lab).with_file_name(format!("genesplat{}", std::env::consts::EXE_SUFFIX));

@@ -1,0 +1,154 @@
+//! What a run will take on a machine: tried with a few steps on a cloud as large as its first one, and on one
+//! as large as its last.
+
+use std::slice;
+use std::time::Instant;
+
+use anyhow::Result;
+use genesplat_core::{RenderSettings, View};
+use genesplat_io::Scene;
+use genesplat_metrics::{Lpips, evaluate};
+use genesplat_train::scene::initialise::cloud_from_points;
+use genesplat_train::{GrowthToCome, Schedule, expected_gaussians, starting_gaussians};
+
+use crate::device::{Device, step_at_rest};
+use crate::exposure::{Lit, Shade};
+use crate::sampled::sampled;
+use crate::scene;
+
+/// Steps that are timed, after one that fills caches.
+const STEPS: usize = 6;
+/// A run is reckoned in so many slices.
+const SLICES: u32 = 64;
+/// Test photos are looked at so many times for the curve, without SSIM.
+const CURVE: f64 = 12.0 * 0.5;
+/// Density control, averages and checkpoints beside the steps.
+const BESIDE: f64 = 1.1;
+
+/// What a step takes with so many Gaussians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tried {
+    /// How many there were.
+    pub gaussians: usize,
+    /// Of a step.
+    pub seconds: f64,
+}
+
+/// What a run on a scene takes on a device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cost {
+    /// With as many Gaussians as it starts with, and as it ends with at most.
+    pub steps: [Tried; 2],
+    /// Seconds of scoring all photos, the curve of the test photos included.
+    pub scoring_seconds: f64,
+}
+
+impl Cost {
+    /// Tries it.
+    pub fn tried(
+        device: &mut Device,
+        scene: &Scene,
+        schedule: &Schedule,
+        lpips: Option<&Lpips>,
+    ) -> Result<Self> {
+        let (config, views) = (schedule.config(), &scene.train);
+        let start = starting_gaussians(config, views, scene.points.len());
+        let counts = [start, expected_gaussians(config, views).max(start)];
+        device.set_views(&spread(views))?;
+        let points = scene::points(scene);
+        let every = (points.len() / start.max(1)).max(1);
+        let first = cloud_from_points(&points.iter().step_by(every).copied().collect::<Vec<_>>())?;
+        let mut steps = [Tried { gaussians: 0, seconds: 0.0 }; 2];
+        for (tried, cloud) in steps.iter_mut().zip([first, sampled(&points, counts[1])?]) {
+            let gaussians = cloud.len();
+            device.upload(cloud.into())?;
+            *tried = Tried { gaussians, seconds: seconds_a_step(device, spread(views).len())? };
+        }
+        // The last cloud is still there.
+        let [test, train] = [(&scene.test, lpips), (views, None)].map(|(views, lpips)| {
+            Ok::<_, anyhow::Error>(views.len() as f64 * seconds_of_scoring(device, views, lpips)?)
+        });
+        let curve = scene.test.len() as f64 * CURVE * seconds_of_scoring(device, &scene.test, None)?;
+        Ok(Self { steps, scoring_seconds: test? + train? + curve })
+    }
+
+    /// Seconds of training by `schedule`.
+    pub fn training_seconds(&self, schedule: &Schedule, views: &[View]) -> f64 {
+        let growth = GrowthToCome::new(schedule, views);
+        let slice = f64::from(schedule.iterations) / f64::from(SLICES);
+        let at = |index: u32| ((f64::from(index) + 0.5) * slice) as u32;
+        let full = self.steps[1].gaussians as f64;
+        let step = |i: u32| self.step_seconds(growth.planned(i).unwrap_or(full));
+        BESIDE * slice * (0..SLICES).map(|index| step(at(index))).sum::<f64>()
+    }
+
+    /// Of a step with so many Gaussians, between what was tried.
+    fn step_seconds(&self, gaussians: f64) -> f64 {
+        let [start, full] = self.steps;
+        let span = (full.gaussians - start.gaussians) as f64;
+        let part = if span > 0.0 { (gaussians - start.gaussians as f64) / span } else { 1.0 };
+        start.seconds + (full.seconds - start.seconds).max(0.0) * part.clamp(0.0, 1.0)
+    }
+}
+
+/// Some views from all over the scene.
+fn spread(views: &[View]) -> Vec<View> {
+    views.iter().step_by(views.len().div_ceil(STEPS).max(1)).cloned().collect()
+}
+
+fn seconds_a_step(device: &mut Device, views: usize) -> Result<f64> {
+    let mut clock = Instant::now();
+    for step in 0..=STEPS {
+        device.train_step(&step_at_rest(step % views, RenderSettings::default(), step as u32 + 1))?;
+        if step == 0 {
+            // A device that queues steps has made this one now.
+            device.report()?;
+            clock = Instant::now();
+        }
+    }
+    device.report()?;
+    Ok(clock.elapsed().as_secs_f64() / STEPS as f64)
+}
+
+/// Of one photo; 0 where there is none.
+fn seconds_of_scoring(device: &mut Device, views: &[View], lpips: Option<&Lpips>) -> Result<f64> {
+    let Some(view) = views.get(views.len() / 2) else { return Ok(0.0) };
+    let clock = Instant::now();
+    let mut renderer = Lit { renderer: device.as_mut(), shade: Shade::NONE };
+    evaluate(&mut renderer, slice::from_ref(view), &RenderSettings::default(), lpips, |_, _| ())?;
+    Ok(clock.elapsed().as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_io::HoldOut;
+    use genesplat_train::TrainConfig;
+
+    use super::*;
+    use crate::device::{DeviceChoice, open};
+    use crate::small_scene::gallery;
+
+    #[test]
+    fn a_longer_run_takes_longer_and_more_gaussians_do() {
+        let tried = |gaussians, seconds| Tried { gaussians, seconds };
+        let cost = Cost { steps: [tried(100, 0.01), tried(300, 0.03)], scoring_seconds: 0.0 };
+        let seconds = [50.0, 100.0, 200.0, 300.0, 900.0].map(|gaussians| cost.step_seconds(gaussians));
+        assert_eq!(seconds.map(|seconds| (seconds * 1e6_f64).round()), [1e4, 1e4, 2e4, 3e4, 3e4]);
+        let views = gallery().into_scene(HoldOut::default()).train;
+        let of = |iterations| {
+            let schedule = TrainConfig { iterations, ..TrainConfig::default() }.resolve().unwrap();
+            cost.training_seconds(&schedule, &views)
+        };
+        assert!(of(2000) > 1.5 * of(1000) && of(1000) > 1000.0 * 0.01);
+    }
+
+    #[test]
+    fn a_small_scene_is_tried() {
+        let scene = gallery().into_scene(HoldOut::default());
+        let schedule = TrainConfig::default().resolve().unwrap();
+        let mut device = open(DeviceChoice::Cpu).unwrap();
+        let cost = Cost::tried(&mut device, &scene, &schedule, None).unwrap();
+        assert!(cost.steps.iter().all(|tried| tried.gaussians > 0 && tried.seconds > 0.0), "{cost:?}");
+        assert!(cost.scoring_seconds > 0.0);
+    }
+}

@@ -1,0 +1,98 @@
+//! As many iterations as fit into the time that somebody has.
+
+use std::time::Instant;
+
+use anyhow::{Result, bail, ensure};
+use genesplat_io::Scene;
+use genesplat_metrics::Lpips;
+use genesplat_train::{MethodName, Schedule, TrainConfig};
+
+use crate::cost::{Cost, Tried};
+use crate::device::Device;
+use crate::numbers::{thousands, time_left};
+
+/// A longer run is hardly better.
+const MOST: u32 = 30_000;
+/// A shorter one has not grown.
+const LEAST: u32 = 200;
+/// From one length that is tried to the next shorter one.
+const SHORTER: f64 = 0.99;
+
+/// What fits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Room {
+    /// How many iterations.
+    pub iterations: u32,
+    /// How that was found.
+    pub sentence: String,
+}
+
+/// The iterations that training and scoring have `seconds` for.
+pub fn room(
+    seconds: f64,
+    config: &TrainConfig,
+    scene: &Scene,
+    device: &mut Device,
+    lpips: Option<&Lpips>,
+) -> Result<Room> {
+    ensure!(
+        config.method.name == MethodName::Genesplat,
+        "--minutes is of --method genesplat, whose schedule fits into any length; give --iterations instead"
+    );
+    let clock = Instant::now();
+    let schedule = of_length(config, MOST)?;
+    let cost = Cost::tried(device, scene, &schedule, lpips)?;
+    let takes = |schedule: &Schedule| cost.training_seconds(schedule, &scene.train) + cost.scoring_seconds;
+    let left = seconds - clock.elapsed().as_secs_f64();
+    let mut iterations = MOST;
+    while iterations >= LEAST {
+        let expected = takes(&of_length(config, iterations)?);
+        if expected <= left {
+            return Ok(Room { iterations, sentence: sentence(iterations, &cost, expected) });
+        }
+        iterations = (f64::from(iterations) * SHORTER) as u32;
+    }
+    let least = takes(&of_length(config, LEAST)?);
+    bail!(
+        "even {LEAST} iterations take about {} here; give more --minutes, or train on smaller photos (--max-side)",
+        time_left(least)
+    );
+}
+
+fn of_length(config: &TrainConfig, iterations: u32) -> Result<Schedule> {
+    Ok(TrainConfig { iterations, ..config.clone() }.resolve()?)
+}
+
+fn sentence(iterations: u32, cost: &Cost, expected: f64) -> String {
+    let step =
+        |tried: Tried| format!("{:.1} ms with {} Gaussians", 1e3 * tried.seconds, thousands(tried.gaussians));
+    let [start, full] = cost.steps.map(step);
+    format!(
+        "{} iterations fit, and take about {} with scoring: a step takes {start}, and {full}",
+        thousands(iterations as usize),
+        time_left(expected)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_io::HoldOut;
+    use genesplat_train::MethodConfig;
+
+    use super::*;
+    use crate::device::{DeviceChoice, open};
+    use crate::small_scene::gallery;
+
+    #[test]
+    fn more_time_has_room_for_more_and_too_little_is_an_error() {
+        let (scene, config) = (gallery().into_scene(HoldOut::default()), TrainConfig::default());
+        let of = |seconds, config: &TrainConfig| {
+            room(seconds, config, &scene, &mut open(DeviceChoice::Cpu).unwrap(), None)
+        };
+        assert_eq!(of(1e6, &config).unwrap().iterations, MOST);
+        let refused = of(1e-6, &config).unwrap_err().to_string();
+        assert!(refused.contains("even 200 iterations take"), "{refused}");
+        let published = TrainConfig { method: MethodConfig::of(MethodName::ThreeDgs), ..config };
+        assert!(of(1e6, &published).unwrap_err().to_string().contains("--iterations"));
+    }
+}
