@@ -280,7 +280,9 @@ impl Run<'_> {
 
     fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
         let (config, command) = (self.settings.to_toml(), self.repeating(folder));
-        let (scene, timeline) = (self.scene, self.settings.schedule.timeline());
+        let scene = self.scene;
+        let schedule = self.settings.schedule.on(scene.train.len());
+        let timeline = schedule.timeline();
         RunPage { metrics, curves, scene, folder, config: &config, command: &command, timeline }.into_html()
     }
 }

@@ -40,7 +40,9 @@ pub fn train(
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
-    let mut trainer = Trainer::new(backend, views, schedule, observer, stop)?;
+    // What is finished already is refined without haste.
+    let of_points = start.is_from_points().then(|| schedule.on(views.len()));
+    let mut trainer = Trainer::new(backend, views, of_points.as_ref().unwrap_or(schedule), observer, stop)?;
     let notices = trainer.notices(&start)?;
     let cursor = trainer.begin(start)?;
     notices.iter().for_each(|notice| trainer.observer.notice(notice));

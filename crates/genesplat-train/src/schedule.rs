@@ -24,10 +24,17 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The schedule of a valid configuration.
+    /// The schedule of a valid configuration, with photos that are not known yet: few.
     pub(crate) fn new(config: TrainConfig) -> Self {
-        let timeline = config.method.name.method().timeline(&config);
+        let timeline = config.method.name.method().timeline(&config, u32::MAX);
         Self { iterations: timeline.iterations, timeline, config }
+    }
+
+    /// The same of a run from points on so many photos.
+    pub fn on(&self, photos: usize) -> Self {
+        let looks = self.iterations / (photos as u32).max(1);
+        let timeline = self.method().timeline(&self.config, looks);
+        Self { timeline, ..self.clone() }
     }
 
     /// The settings as given.
@@ -64,13 +71,8 @@ impl Schedule {
     /// Gradients of `B` views tell the direction `√B` times as well as those of one, so steps are as much
     /// longer.
     pub fn rates(&self, extent: f64, i: u32) -> LearningRates {
-        self.hasty_rates(extent, i, None)
-    }
-
-    /// The same in a run that looks at each photo seldom, where there is haste.
-    pub(crate) fn hasty_rates(&self, extent: f64, i: u32, haste: Option<Haste>) -> LearningRates {
         let method = &self.config.method;
-        let Haste { position: sooner, others } = haste.unwrap_or(Haste { position: 1.0, others: 1.0 });
+        let Haste { position: sooner, others } = self.timeline.haste.unwrap_or(Haste::NONE);
         let (start, end) = (method.position_rate_start * sooner, method.position_rate_end);
         let t = (f64::from(i) / f64::from(self.timeline.position_steps)).min(1.0);
         let position = (start.ln() * (1.0 - t) + end.ln() * t).exp();
@@ -109,7 +111,8 @@ impl Schedule {
 
     /// What happens when, in words, a line for each event that happens at all in a run with so many photos.
     pub fn lines(&self, photos: usize) -> Vec<String> {
-        let mut lines = self.timeline.lines();
+        let timeline = self.on(photos).timeline;
+        let mut lines = timeline.lines();
         match self.virtual_steps(photos) {
             None => lines.retain(|line| !line.starts_with(Event::RefreshVirtualViews.words())),
             Some(VirtualSteps { from, every }) => {
@@ -117,12 +120,11 @@ impl Schedule {
             }
         }
         let method = &self.config.method;
-        let haste = self.timeline.haste(photos);
-        let start = method.position_rate_start * haste.map_or(1.0, |haste| haste.position);
+        let start = method.position_rate_start * timeline.haste.unwrap_or(Haste::NONE).position;
         let end = method.position_rate_end;
         let steps = thousands(self.timeline.position_steps);
         lines.push(format!("the rate of positions falls from {start:e} to {end:e} over {steps}"));
-        if let Some(Haste { others, .. }) = haste {
+        if let Some(Haste { others, .. }) = timeline.haste {
             lines.push(format!(
                 "few looks at each photo: other rates but rotations' are {others} times as high"
             ));

@@ -205,6 +205,11 @@ pub(crate) struct Haste {
     pub(crate) others: f64,
 }
 
+impl Haste {
+    /// Rates are as they are set.
+    pub(crate) const NONE: Self = Self { position: 1.0, others: 1.0 };
+}
+
 /// Improved-GS: what has recovered its opacity slowly after a reset is pruned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Recovery {
@@ -271,9 +276,7 @@ pub struct Timeline {
     pub(crate) size_prune_after: u32,
     /// What is pruned for having recovered slowly, if anything is.
     pub(crate) recovery: Option<Recovery>,
-    /// Fewer steps than this for each photo are few.
-    pub(crate) few_looks: u32,
-    /// What rates are then.
+    /// How much higher rates are, if they are.
     pub(crate) haste: Option<Haste>,
 }
 
@@ -300,7 +303,6 @@ impl Timeline {
             growth: Growth::Free,
             size_prune_after: length.scaled(SIZE_PRUNE_AFTER).min(length.interval(method.reset_every)),
             recovery: None,
-            few_looks: 0,
             haste: None,
         };
         timeline.add(Event::Densify, timeline.densifications());
@@ -320,10 +322,14 @@ impl Timeline {
         self
     }
 
-    /// The mean of the last two fifths is the result, where the method's settings ask for it. (A window of a
-    /// single iteration would hold no state.)
-    pub(crate) fn with_averaging(mut self, config: &TrainConfig, length: Length) -> Self {
-        let window = length.part(AVERAGED);
+    /// The mean of the last two fifths is the result, where the method's settings ask for it.
+    pub(crate) fn with_averaging(self, config: &TrainConfig, length: Length) -> Self {
+        self.with_mean_of_last(AVERAGED, config, length)
+    }
+
+    /// The same of another part of the run. (A window of a single iteration would hold no state.)
+    pub(crate) fn with_mean_of_last(mut self, part: f64, config: &TrainConfig, length: Length) -> Self {
+        let window = length.part(part);
         if config.method.averaging && window > 1 {
             let every = (length.part(TWENTIETH).max(1) / STATES).max(1);
             self.add(Event::AddToMean, When::back_from(self.iterations, every, self.iterations - window));
@@ -388,8 +394,8 @@ impl Timeline {
         When::multiples(self.reset_every, 1, self.reset_until.min(self.iterations))
     }
 
-    /// Fraction of its limit that the cloud may have reached in iteration `i` of a run with so many photos.
-    pub(crate) fn grown(&self, i: u32, photos: usize) -> f64 {
+    /// Fraction of its limit that the cloud may have reached in iteration `i`.
+    pub(crate) fn grown(&self, i: u32) -> f64 {
         match self.growth {
             Growth::Free => 1.0,
             Growth::Even => {
@@ -398,20 +404,9 @@ impl Timeline {
             }
             Growth::Ramp { full, gradual } => {
                 let ramp = self.ramp(full, i).clamp(0.0, 1.0);
-                let gradual = gradual.filter(|_| !self.looks_seldom(photos));
                 gradual.map_or_else(|| ramp.sqrt(), |power| ramp.powf(power))
             }
         }
-    }
-
-    /// The run sees each of so many photos few times.
-    fn looks_seldom(&self, photos: usize) -> bool {
-        self.iterations / (photos as u32).max(1) < self.few_looks
-    }
-
-    /// How much higher rates are in a run from points with so many photos, if they are.
-    pub(crate) fn haste(&self, photos: usize) -> Option<Haste> {
-        self.haste.filter(|_| self.looks_seldom(photos))
     }
 
     /// The limit had its full height before iteration `i`.

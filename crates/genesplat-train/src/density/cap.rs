@@ -120,13 +120,14 @@ pub struct GrowthToCome {
 impl GrowthToCome {
     /// Of a run with these settings on these photos.
     pub fn new(schedule: &Schedule, views: &[View]) -> Self {
+        let schedule = schedule.on(views.len());
         let timeline = schedule.timeline();
         let most = Cap::new(schedule.config(), views).get().map(|cap| cap as f64);
         let iterations = schedule.iterations.max(1);
         let at = |percent: u32| (u64::from(iterations) * u64::from(percent) / 100) as u32;
         let planned = most
             .filter(|_| timeline.growth != Growth::Free)
-            .map(|most| (0..=100).map(|percent| most * timeline.grown(at(percent), views.len())).collect());
+            .map(|most| (0..=100).map(|percent| most * timeline.grown(at(percent))).collect());
         Self { planned, iterations, until: timeline.densify.until, most }
     }
 

@@ -83,7 +83,7 @@ impl Method for ImprovedGs {
         ]
     }
 
-    fn timeline(&self, config: &TrainConfig) -> Timeline {
+    fn timeline(&self, config: &TrainConfig, _looks: u32) -> Timeline {
         let length = Length::of(config);
         let mut timeline = timeline(config, length).with_averaging(config, length);
         if !config.method.averaging {
@@ -112,10 +112,15 @@ impl Method for ImprovedGs {
 
 /// Its density control and resets.
 pub(super) fn timeline(config: &TrainConfig, length: Length) -> Timeline {
-    let mut timeline =
-        Timeline::of_3dgs(config, length, config.method.densify_until).with_resets(config, length);
-    timeline.growth = Growth::Ramp { full: FULL, gradual: None };
+    let mut timeline = without_resets(config, length).with_resets(config, length);
     timeline.recovery = Some(Recovery { after: length.interval(RECOVERY), until: length.scaled(SLOW_UNTIL) });
+    timeline
+}
+
+/// Its density control alone, in which nothing recovers.
+pub(super) fn without_resets(config: &TrainConfig, length: Length) -> Timeline {
+    let mut timeline = Timeline::of_3dgs(config, length, config.method.densify_until);
+    timeline.growth = Growth::Ramp { full: FULL, gradual: None };
     timeline
 }
 
@@ -148,7 +153,7 @@ fn rules(trainer: &Trainer<'_>, i: u32) -> selection::Rules {
     let cap = trainer.run.cap.get().unwrap_or(CAP);
     selection::Rules {
         gradient_threshold: if timeline.is_full(i) { threshold / LATE_EASING } else { threshold },
-        budget: (cap as f64 * timeline.grown(i, trainer.run.views.len())) as usize,
+        budget: (cap as f64 * timeline.grown(i)) as usize,
         prune_opacity: if timeline.has_recovered(i) { RECOVERED_OPACITY } else { PRUNE_OPACITY },
         prune_fraction: if timeline.prunes_slow(i) { SLOW_FRACTION } else { 0.0 },
     }

@@ -68,7 +68,7 @@ impl Method for Mcmc {
         ]
     }
 
-    fn timeline(&self, config: &TrainConfig) -> Timeline {
+    fn timeline(&self, config: &TrainConfig, _looks: u32) -> Timeline {
         let length = Length::of(config);
         let mut timeline = Timeline::of_3dgs(config, length, config.method.densify_until);
         timeline.loses_steps = false;

@@ -28,7 +28,7 @@ impl Method for MipSplatting {
 
     /// The 3D filter is computed anew after each densification, and later now and then until shortly before
     /// the end.
-    fn timeline(&self, config: &TrainConfig) -> Timeline {
+    fn timeline(&self, config: &TrainConfig, _looks: u32) -> Timeline {
         let mut timeline = threedgs::timeline(config, Length::of(config));
         let (densify, end) = (timeline.densify, timeline.iterations.saturating_sub(timeline.densify.every));
         timeline.add(Event::RefreshFilter, timeline.densifications());

@@ -111,8 +111,8 @@ pub(crate) trait Method: Sync {
     /// Those of them that mean something to it, by name.
     fn own_settings(&self) -> &'static [&'static str];
 
-    /// What happens when, in a run of valid settings.
-    fn timeline(&self, config: &TrainConfig) -> Timeline;
+    /// What happens when, in a run of valid settings that looks at each photo so many times.
+    fn timeline(&self, config: &TrainConfig, looks: u32) -> Timeline;
 
     /// The gradients that densification looks at; `extent` is the scene's, world units.
     fn density_signal(&self, extent: f64) -> Option<DensitySignal>;

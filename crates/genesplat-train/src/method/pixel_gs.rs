@@ -30,7 +30,7 @@ impl Method for PixelGs {
         &threedgs::SETTINGS
     }
 
-    fn timeline(&self, config: &TrainConfig) -> Timeline {
+    fn timeline(&self, config: &TrainConfig, _looks: u32) -> Timeline {
         threedgs::timeline(config, Length::of(config))
     }
 

@@ -86,10 +86,11 @@ settings! {
     /// pixels, and the pixels of one photo over 0.3. A lower `max_gaussians` counts.
     capacity: f64,
     /// The cloud approaches its limit by the power 1.5 of the iterations of density control, and not along
-    /// Improved-GS's root; runs of less than 5,000 iterations, or `few_looks` for each photo, follow the root.
+    /// Improved-GS's root; runs of less than 5,000 iterations follow the root.
     gradual_growth: bool,
-    /// Where a run from points looks at each photo fewer times than this, the rate of positions starts 8 times
-    /// as high, and those of colours, opacities and scales are twice as high. 0 for never.
+    /// Where a run from points looks at each photo fewer times than this, it grows along that root, resets no
+    /// opacities (unless a search follows), averages the last fifth alone, starts with 8 times the rate of
+    /// positions, and doubles the rates of colours, opacities and scales. 0 for never.
     few_looks: u32,
     /// The mean of the states of the last two fifths of the run is the result.
     averaging: bool,

@@ -77,7 +77,7 @@ impl Method for ThreeDgs {
         &SETTINGS
     }
 
-    fn timeline(&self, config: &TrainConfig) -> Timeline {
+    fn timeline(&self, config: &TrainConfig, _looks: u32) -> Timeline {
         timeline(config, Length::of(config))
     }
 
@@ -116,10 +116,6 @@ fn rules(trainer: &Trainer<'_>, i: u32) -> adaptive::Rules {
         clone_size_max: world(CLONE_SIZE),
         prune_opacity: PRUNE_OPACITY,
         prune_size: (i > timeline.size_prune_after).then(|| world(method.prune_size)),
-        cap: trainer
-            .run
-            .cap
-            .get()
-            .map(|cap| (cap as f64 * timeline.grown(i, trainer.run.views.len())) as usize),
+        cap: trainer.run.cap.get().map(|cap| (cap as f64 * timeline.grown(i)) as usize),
     }
 }

@@ -26,6 +26,17 @@ pub enum Start {
     Checkpoint(Box<Checkpoint>),
 }
 
+impl Start {
+    /// The cloud has been made from points, and has learnt nothing elsewhere.
+    pub(crate) fn is_from_points(&self) -> bool {
+        match self {
+            Self::Points(_) => true,
+            Self::Cloud(_) => false,
+            Self::Checkpoint(checkpoint) => checkpoint.progress.sh_degree_start == 0,
+        }
+    }
+}
+
 /// A run that has ended.
 #[derive(Clone, Debug)]
 pub struct Outcome {

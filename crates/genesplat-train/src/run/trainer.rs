@@ -22,7 +22,7 @@ use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
 use crate::scene::virtual_views::VirtualViews;
 use crate::schedule::Schedule;
-use crate::timeline::{Event, Haste};
+use crate::timeline::Event;
 
 /// Iterations between two read-backs of the loss, which make a GPU wait.
 pub(crate) const REPORT_EVERY: u32 = 10;
@@ -341,13 +341,7 @@ impl<'a> Trainer<'a> {
     }
 
     pub(crate) fn rates(&self, i: u32) -> LearningRates {
-        self.run.schedule.hasty_rates(self.run.extent, i, self.haste())
-    }
-
-    /// What is finished is refined without haste.
-    fn haste(&self) -> Option<Haste> {
-        let is_from_points = self.place.progress.sh_degree_start == 0;
-        self.run.schedule.timeline().haste(self.run.views.len()).filter(|_| is_from_points)
+        self.run.schedule.rates(self.run.extent, i)
     }
 
     /// Does an event's work on the clock of gradients or of evolution, whichever it belongs to.

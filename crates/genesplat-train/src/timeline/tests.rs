@@ -270,9 +270,11 @@ fn the_position_rate_decays_a_hundredfold() {
 #[test]
 fn rates_are_higher_where_each_photo_is_seen_seldom() {
     let schedule = schedule_of(MethodName::Genesplat, |config| config.iterations = 7000);
-    let haste = |photos| schedule.timeline().haste(photos);
-    assert_eq!((haste(12), haste(140)), (None, None));
-    let [usual, hasty] = [None, haste(141)].map(|haste| schedule.hasty_rates(2.0, 1, haste));
+    let [few, many] = [140, 141].map(|photos| schedule.on(photos));
+    let [usual, hasty] = [&few, &many].map(|schedule| schedule.rates(2.0, 1));
+    assert_eq!(usual, schedule.rates(2.0, 1));
+    assert!(few.timeline().first(Event::ResetOpacity).is_some());
+    assert_eq!(many.timeline().first(Event::ResetOpacity), None);
     let ratio = |of: fn(&LearningRates) -> f32| of(&hasty) / of(&usual);
     assert!((ratio(|rates| rates.position) - 8.0).abs() < 0.01, "it falls to the same end");
     assert_eq!(
@@ -284,9 +286,11 @@ fn rates_are_higher_where_each_photo_is_seen_seldom() {
     assert!(!schedule.lines(140).iter().any(|line| line.contains("few looks")));
     let mut config = TrainConfig { iterations: 7000, ..TrainConfig::default() };
     config.method.few_looks = 0;
-    assert_eq!(config.resolve().unwrap().timeline().haste(7000), None);
+    let none = config.resolve().unwrap();
+    assert_eq!(none.on(7000), none);
     let published = TrainConfig { iterations: 7000, ..TrainConfig::of(MethodName::ImprovedGs) };
-    assert_eq!(published.resolve().unwrap().timeline().haste(7000), None);
+    let published = published.resolve().unwrap();
+    assert_eq!(published.on(7000), published);
 }
 
 #[test]

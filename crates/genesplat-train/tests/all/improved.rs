@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use genesplat_core::gaussians::logit;
 use genesplat_core::{DensitySignal, Device, Origin, RenderSettings, RowEdit};
 use genesplat_train::scene::initialise::cloud_from_points;
-use genesplat_train::{MethodName, Outcome, Silent, Start, TrainConfig, edge_scores, train};
+use genesplat_train::{MethodName, Outcome, Silent, Start, StepBudget, TrainConfig, edge_scores, train};
 
 use crate::support::{Call, FakeBackend, Told, points, resumed, views};
 
@@ -124,11 +124,26 @@ fn weighed(backend: &FakeBackend, i: u32) -> usize {
 #[test]
 fn ours_asks_no_more_views_than_a_fiftieth_of_the_steps() {
     let mut backend = backend();
-    let config = TrainConfig { iterations: 700, max_gaussians: Some(100), ..TrainConfig::default() };
+    let mut config = TrainConfig { iterations: 700, max_gaussians: Some(100), ..TrainConfig::default() };
+    config.method.few_looks = 0;
     run(&mut backend, config);
     assert!(backend.calls.contains(&Call::OpacityCeiling(0.05)));
     // What was slow after the reset of iteration 100 is pruned in iteration 200.
     assert_eq!([100, 200, 300].map(|i| weighed(&backend, i)), [10, 10, 14]);
+}
+
+/// 700 steps look at each of 23 photos 30 times.
+#[test]
+fn ours_resets_nothing_where_photos_are_looked_at_seldom_unless_a_search_follows() {
+    let resets = |search: bool| {
+        let mut backend = backend();
+        let mut config = TrainConfig { iterations: 700, max_gaussians: Some(100), ..TrainConfig::default() };
+        config.extra_steps = search.then_some(StepBudget::Steps(1));
+        run(&mut backend, config);
+        backend.calls.iter().filter(|call| matches!(call, Call::OpacityCeiling(_))).count()
+    };
+    assert_eq!(resets(false), 0);
+    assert!(resets(true) > 0);
 }
 
 /// Half of the cloud, where a fifth is the least.

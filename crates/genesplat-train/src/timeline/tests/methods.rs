@@ -81,7 +81,7 @@ fn improved_gs_prunes_after_resets_and_steps_less_often_later() {
     assert_eq!(iterations_with(&schedule, Event::Densify).len(), 144);
     assert_eq!(all(&|i| timeline.has_recovered(i)), [3300, 6300, 9300, 12_300]);
     assert_eq!(all(&|i| timeline.prunes_slow(i)), [3300, 6300]);
-    let budgets = [500, 640, 4000, 14_500, 14_900].map(|i| (1e6 * timeline.grown(i, 40)).round());
+    let budgets = [500, 640, 4000, 14_500, 14_900].map(|i| (1e6 * timeline.grown(i)).round());
     assert_eq!(budgets, [0.0, 1e5, 5e5, 1e6, 1e6]);
     assert!(!timeline.is_full(14_500) && timeline.is_full(14_600));
     let steps = |wanted| all(&|i| timeline.optimiser_step(i) == wanted).len();
@@ -111,21 +111,22 @@ fn ours_grows_gradually_unless_the_run_is_short() {
     let gradual = of(7000);
     let timeline = gradual.timeline();
     assert_eq!(timeline.densify.until, 3500);
-    assert!(timeline.grown(3300, 140) < 1.0 && timeline.is_full(3400));
-    assert!((timeline.grown(1750, 140) - 0.5f64.powf(1.5)).abs() < 0.03, "slowly at first");
+    assert!(timeline.grown(3300) < 1.0 && timeline.is_full(3400));
+    assert!((timeline.grown(1750) - 0.5f64.powf(1.5)).abs() < 0.03, "slowly at first");
     let root = 0.5f64.sqrt();
-    assert!((timeline.grown(1750, 141) - root).abs() < 0.03, "along the root, where photos are many");
-    assert!((of(4000).timeline().grown(1000, 9) - root).abs() < 0.05, "along the root");
+    let many = gradual.on(141);
+    assert!((many.timeline().grown(1750) - root).abs() < 0.03, "along the root, where photos are many");
+    assert!((of(4000).timeline().grown(1000) - root).abs() < 0.05, "along the root");
     let at_once = schedule_of(MethodName::Genesplat, |config| {
         (config.iterations, config.method.gradual_growth) = (7000, false);
     });
-    assert!((at_once.timeline().grown(1750, 9) - root).abs() < 0.03, "as published");
+    assert!((at_once.timeline().grown(1750) - root).abs() < 0.03, "as published");
 }
 
 /// Towards what the photos can determine, which nobody can refuse before it is full.
 #[test]
 fn adaptive_control_grows_evenly_to_its_capacity_and_freely_without() {
-    let grown = |capacity, i| schedule(|config| config.method.capacity = capacity).timeline().grown(i, 9);
+    let grown = |capacity, i| schedule(|config| config.method.capacity = capacity).timeline().grown(i);
     assert_eq!([149, 7450, 14_900, 14_999].map(|i| grown(1.0, i)), [0.01, 0.5, 1.0, 1.0]);
     assert_eq!([1, 14_900].map(|i| grown(0.0, i)), [1.0; 2]);
 }
