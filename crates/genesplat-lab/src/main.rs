@@ -13,5 +13,6 @@ use std::process::ExitCode;
 use genesplat::terminal::program;
 
 fn main() -> ExitCode {
-    program::run(|arguments: &args::Arguments| arguments.volume.volume(), |_| None, commands::run)
+    let volume = |arguments: &args::Arguments| arguments.volume.volume();
+    program::run(std::env::args_os(), volume, |_| None, commands::run).into()
 }

@@ -24,6 +24,16 @@ use crate::pace::Pace;
 use crate::session::{Caller, RunSession};
 use crate::test_curve::TestCurve;
 
+/// Somebody who goes along with a run; training waits while they are told.
+pub trait Companion {
+    /// Whether the loss of this iteration is wanted, and a look at the cloud after it.
+    fn wants(&self, iteration: u32) -> bool;
+    /// A gradient step was queued.
+    fn on_step(&self, step: &StepLog);
+    /// The cloud in training after an iteration that was wanted.
+    fn on_renders(&self, renderer: &mut CloudRenderer<'_>);
+}
+
 /// Tells how a run goes.
 pub struct Reporter<'a> {
     run: Option<(&'a RunSession, Option<&'a Cluster>)>,
@@ -33,6 +43,7 @@ pub struct Reporter<'a> {
     curve: Option<TestCurve<'a>>,
     /// A page that shows the run.
     live: Option<&'a mut LiveView>,
+    companion: Option<&'a dyn Companion>,
     stop: &'a AtomicBool,
     /// Of gradient steps; where there are none, of the generations of a stage.
     bar: Option<Bar>,
@@ -72,6 +83,7 @@ impl<'a> Reporter<'a> {
             quiet: false,
             curve: None,
             live: None,
+            companion: None,
             stop,
             bar: None,
             search: None,
@@ -94,7 +106,13 @@ impl<'a> Reporter<'a> {
         Self { growth: Some(growth), ..self }
     }
 
-    pub(crate) fn into_result(self) -> Result<()> {
+    /// With somebody who goes along.
+    pub fn beside(self, companion: Option<&'a dyn Companion>) -> Self {
+        Self { companion, ..self }
+    }
+
+    /// What went wrong while it was told.
+    pub fn into_result(self) -> Result<()> {
         self.trouble.map_or(Ok(()), Err)
     }
 
@@ -182,6 +200,9 @@ impl Observer for Reporter<'_> {
             self.bar = Some(self.new_bar("training", u64::from(log.iteration) - 1, log.iterations.into()));
         }
         self.gaussians = log.gaussians;
+        if let Some(companion) = self.companion {
+            companion.on_step(log);
+        }
         if let Some((pace, began)) = &mut self.pace {
             let seconds = began.elapsed().as_secs_f64();
             pace.set(log.iteration.into(), seconds, log.gaussians);
@@ -253,9 +274,14 @@ impl Observer for Reporter<'_> {
         self.log(&LogRecord::Notice { text: text.to_owned() });
     }
 
+    fn wants_report(&mut self, iteration: u32) -> bool {
+        self.companion.is_some_and(|companion| companion.wants(iteration))
+    }
+
     fn wants_renders(&mut self, iteration: u32) -> bool {
         let is_watched = self.live.as_mut().is_some_and(|live| live.is_due());
-        is_watched || self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
+        let is_wanted = self.companion.is_some_and(|companion| companion.wants(iteration));
+        is_watched || is_wanted || self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
     }
 
     fn on_renders(&mut self, iteration: u32, renderer: &mut CloudRenderer<'_>) {
@@ -264,6 +290,9 @@ impl Observer for Reporter<'_> {
         let session = self.run.map(|(session, _)| session);
         if let Some(live) = &mut self.live {
             live.attend(renderer, &mut Steering { iteration, session, stop: self.stop });
+        }
+        if let Some(companion) = self.companion.filter(|companion| companion.wants(iteration)) {
+            companion.on_renders(renderer);
         }
     }
 

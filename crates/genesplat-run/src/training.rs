@@ -28,7 +28,7 @@ use crate::output;
 use crate::output::Bar;
 use crate::report::curves::Curves;
 use crate::report::run::RunPage;
-use crate::reporter::Reporter;
+use crate::reporter::{Companion, Reporter};
 use crate::score::{Scores, evaluate_until};
 use crate::settings::Settings;
 use crate::{cluster, device, live, overwrite, scene};
@@ -49,6 +49,8 @@ pub struct Run<'a> {
     pub page: Option<&'a Address>,
     /// Whether TensorBoard gets the curves.
     pub tensorboard: bool,
+    /// Who is told of every step, and looks at the cloud in training.
+    pub companion: Option<&'a dyn Companion>,
     /// The processes of the run, if there are several.
     pub cluster: Option<&'a Cluster>,
     /// Whether a resumed run goes on with a scene that is not what it began with.
@@ -143,7 +145,8 @@ impl Run<'_> {
         let asked = self.cluster.map_or(stop, Cluster::asked);
         let brightness = self.exposure.map_or(1.0, |exposure| 1.0 / exposure.dark);
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked)
-            .expecting(GrowthToCome::new(schedule, &scene.train));
+            .expecting(GrowthToCome::new(schedule, &scene.train))
+            .beside(self.companion);
         reporter.show_at(brightness);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, schedule, &mut reporter, stop)?;

@@ -106,7 +106,8 @@ impl Trainer<'_> {
         // The step is queued: a checkpoint from now on goes on after it.
         self.place.cursor.event = Event::RefreshVirtualViews;
         self.look_for_gaussians(i)?;
-        let is_report = i.is_multiple_of(REPORT_EVERY) || i == schedule.iterations;
+        let is_due = i.is_multiple_of(REPORT_EVERY) || i == schedule.iterations;
+        let is_report = is_due || self.observer.wants_report(i);
         let log = StepLog {
             iteration: i,
             iterations: schedule.iterations,

@@ -1,7 +1,7 @@
 //! genesplat reconstructs a scene from photos as 3D Gaussians, and evolves them.
 //!
 //! This crate is the door to the library: it re-exports the crates that do the work, under the names below.
-//! The `genesplat` command is built on nothing else.
+//! The [`command`] is built on nothing else.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -16,6 +16,8 @@
 //! | [`viewer`] | the live page: a small server on loopback, and what it shows |
 //! | [`metrics`] | PSNR, SSIM and LPIPS, of two pictures and of all test photos |
 //! | [`run`] | a run: settings, its folder, training into it, figures and pages |
+//! | [`poses`] | cameras of photos without any |
+//! | [`command`] | the whole command, for who starts it from elsewhere: the wheel of Python does |
 //! | [`terminal`], [`flags`] | what the programs of this workspace share; not meant for others |
 //!
 //! From photos to figures, here with the bundled scene (made tiny, and trained for a moment):
@@ -44,6 +46,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+// Commands name what they use as who uses this library does.
+extern crate self as genesplat;
+
 pub use genesplat_cluster as cluster;
 pub use genesplat_core as core;
 pub use genesplat_evolve as evolve;
@@ -56,5 +61,14 @@ pub use genesplat_run as run;
 pub use genesplat_train as train;
 pub use genesplat_viewer as viewer;
 
+mod args;
+mod blocks;
+pub mod command;
+mod commands;
 pub mod flags;
+mod inspect;
+pub mod poses;
+mod programs;
+mod sharpness;
 pub mod terminal;
+mod unpacked;

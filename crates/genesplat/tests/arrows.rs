@@ -8,7 +8,7 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
@@ -34,6 +34,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
         ],
     ),
     ("genesplat-lab", &["genesplat"]),
+    ("genesplat-python", &["genesplat"]),
     (
         "genesplat",
         &[

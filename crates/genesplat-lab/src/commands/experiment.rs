@@ -7,10 +7,9 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, bail};
 use genesplat::io::{input, plural, shown};
 use genesplat::run::lock::{LOCK, Lock};
-use genesplat::run::report::run::this_command;
 use genesplat::run::settings::Machine;
 use genesplat::run::{device, files, lpips};
-use genesplat::terminal::program::Ending;
+use genesplat::terminal::program::{Ending, this_command};
 use genesplat::terminal::{interrupt, output};
 
 use crate::args::ExperimentArgs;

@@ -223,6 +223,7 @@ impl<'a> Runner<'a> {
             stop: self.stop,
             page: None,
             tensorboard: false,
+            companion: None,
             cluster: None,
             accepts_changes: false,
             began,

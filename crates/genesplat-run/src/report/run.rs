@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use anyhow::Result;
+use genesplat_io::Scene;
 use genesplat_io::photos::read_photo;
-use genesplat_io::{Scene, command_line};
 use genesplat_metrics::{Evaluation, ViewScore};
 use genesplat_train::timeline::Timeline;
 use maud::{Markup, html};
@@ -159,9 +159,4 @@ pub fn repeat(command: &str) -> Markup {
         pre.command { (command) }
         p.dim { "genesplat " (version) ", " (os) " " (architecture) }
     }
-}
-
-/// The command of this process, as its user may give it again.
-pub fn this_command(program: &str) -> String {
-    command_line(std::iter::once(program.into()).chain(std::env::args_os().skip(1)))
 }

@@ -208,6 +208,10 @@ pub trait Observer {
     /// A checkpoint that the schedule asked for, or that of a run which ends in an error: out of memory, in a
     /// stage, or at a stop.
     fn on_checkpoint(&mut self, _checkpoint: Checkpoint) {}
+    /// True to have the loss of this iteration, which makes a GPU wait, though no report is due.
+    fn wants_report(&mut self, _iteration: u32) -> bool {
+        false
+    }
     /// True to look at the cloud after this iteration.
     fn wants_renders(&mut self, _iteration: u32) -> bool {
         false

@@ -17,14 +17,13 @@ use genesplat::metrics::Lpips;
 use genesplat::run::metrics::Metrics;
 use genesplat::run::numbers::thousands;
 use genesplat::run::report::pair::{self, Side};
-use genesplat::run::report::run::this_command;
 use genesplat::run::report::sheet::changes;
 use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Dataset, PhotosAsked, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{CLOUD, TEST};
 use genesplat::run::{device, files, lpips, scene};
-use genesplat::terminal::program::Ending;
+use genesplat::terminal::program::{Ending, this_command};
 use genesplat::terminal::{interrupt, output};
 use genesplat::train::{MethodName, TrainConfig};
 
@@ -185,6 +184,7 @@ impl Half {
             stop,
             page: None,
             tensorboard: false,
+            companion: None,
             cluster: None,
             accepts_changes: false,
             began: Instant::now(),

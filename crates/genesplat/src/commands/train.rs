@@ -77,8 +77,19 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
     let page = address.as_ref();
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
     let accepts_changes = args.accept_changes;
-    let run =
-        Run { settings, scene, exposure, lpips, stop, page, tensorboard, cluster, accepts_changes, began };
+    let run = Run {
+        settings,
+        scene,
+        exposure,
+        lpips,
+        stop,
+        page,
+        tensorboard,
+        companion: None,
+        cluster,
+        accepts_changes,
+        began,
+    };
     let (ended, showing) = run.execute_shown(&mut session)?;
     if let Some(cluster) = cluster {
         output::tell(&cluster.summary(began.elapsed().as_secs_f64())?);

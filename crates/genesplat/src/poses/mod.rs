@@ -27,7 +27,7 @@ use crate::programs::Programs;
 use engine::Engine;
 use photos::Source;
 use stages::Job;
-pub(crate) use summary::Summary;
+pub use summary::{Compared, Summary};
 
 /// Below `OUT`.
 const WORK: &str = "poses";
@@ -42,19 +42,23 @@ pub(crate) const FRAMES: u32 = 120;
 const PHOTOS_MIN: usize = 3;
 
 /// What is asked for.
-pub(crate) struct Request<'a> {
+pub struct Request<'a> {
     /// A folder of photos, or a video.
-    pub(crate) photos: &'a Path,
+    pub photos: &'a Path,
     /// Folder for the scene.
-    pub(crate) out: &'a Path,
-    /// How many photos are taken from a video; `None` for [`FRAMES`].
-    pub(crate) frames: Option<u32>,
-    pub(crate) threads: Option<u16>,
+    pub out: &'a Path,
+    /// How many photos are taken from a video; `None` for 120.
+    pub frames: Option<u32>,
+    /// Processor threads; `None` for all cores.
+    pub threads: Option<u16>,
 }
 
 /// The cameras of the photos, found now or earlier; `None` where `stop` has ended the search, which can go
 /// on.
-pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
+///
+/// # Errors
+/// A sentence where the folder belongs to something else, nobody can find cameras here, or none are found.
+pub fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
     let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
     let source = Source::open(request.photos, request.frames)?;
     let work = claim(request.out, &source)?;

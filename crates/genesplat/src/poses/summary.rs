@@ -18,33 +18,41 @@ const SUMMARY: &str = "summary.json";
 /// So many photos that were left out are named.
 const NAMED_MAX: usize = 3;
 
+/// The cameras that were found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Summary {
+pub struct Summary {
     /// Folder of the largest model among those that were found.
-    pub(crate) model: String,
-    pub(crate) photos: usize,
-    pub(crate) registered: usize,
-    pub(crate) points: usize,
-    pub(crate) reprojection_error_px: Option<f64>,
+    pub model: String,
+    /// Photos that were given.
+    pub photos: usize,
+    /// Those that have a camera.
+    pub registered: usize,
+    /// Points of the model.
+    pub points: usize,
+    /// Mean over its points, px.
+    pub reprojection_error_px: Option<f64>,
     /// Photos that have no camera.
-    pub(crate) left_out: Vec<String>,
+    pub left_out: Vec<String>,
     /// Models with some of these.
-    pub(crate) other_models: usize,
-    /// Not known of searches by older versions, and of films that the program `colmap` has searched.
+    pub other_models: usize,
+    /// Which pairs of photos were compared. Not known of searches by older versions, and of films that the
+    /// program `colmap` has searched.
     #[serde(default)]
-    pub(crate) compared: Option<Compared>,
+    pub compared: Option<Compared>,
 }
 
 /// Which pairs of photos were compared.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Compared {
-    pub(crate) pairs: usize,
-    pub(crate) of: usize,
+pub struct Compared {
+    /// Pairs that were compared.
+    pub pairs: usize,
+    /// Pairs that there are.
+    pub of: usize,
     /// `looks`, `place`, `order`; nothing where all pairs were compared.
     #[serde(default)]
-    pub(crate) chosen_by: Vec<String>,
+    pub chosen_by: Vec<String>,
     /// Whether each photo that is left out was compared with each that is not.
-    pub(crate) left_out_with_all: bool,
+    pub left_out_with_all: bool,
 }
 
 impl Compared {
@@ -128,7 +136,7 @@ impl Summary {
     }
 
     /// A line of figures, one of what was compared, and one of advice where photos were left out.
-    pub(crate) fn sentences(&self) -> Vec<String> {
+    pub fn sentences(&self) -> Vec<String> {
         let Self { photos, registered, points, reprojection_error_px, compared, .. } = self;
         let error = reprojection_error_px.map_or(String::new(), |error| {
             format!("; on average a point is found {error:.2} pixels from where its camera should see it")

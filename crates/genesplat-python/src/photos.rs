@@ -1,0 +1,19 @@
+//! Cameras of photos.
+
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+use genesplat::poses::{Request, find};
+use pyo3::prelude::*;
+
+use crate::error::told;
+use crate::waiting::wait_for;
+
+/// Makes the scene of photos without cameras; what was found, as JSON.
+#[pyfunction]
+pub(crate) fn poses(py: Python<'_>, photos: PathBuf, out: PathBuf, frames: Option<u32>) -> PyResult<String> {
+    let stop = AtomicBool::new(false);
+    let work = || find(&Request { photos: &photos, out: &out, frames, threads: None }, &stop);
+    let found = wait_for(py, &stop, work)?.map_err(told)?;
+    serde_json::to_string(&found).map_err(told)
+}

@@ -1,0 +1,186 @@
+//! What a training is to do, and how it is done: by itself, or into the folder of a run, as the command does.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use anyhow::ensure;
+use genesplat::core::{Gaussians, RenderSettings};
+use genesplat::io::{Scene, Spill};
+use genesplat::run::exposure::{self, Corrections, Exposure};
+use genesplat::run::inputs::Inputs;
+use genesplat::run::reporter::{Companion, Reporter};
+use genesplat::run::session::{Caller, RunSession};
+use genesplat::run::settings::{ConfigFile, Machine};
+use genesplat::run::training::{self, Run};
+use genesplat::run::{device, lpips, overwrite, scene, splat};
+use genesplat::train::{Checkpoint, Start, train};
+use pyo3::PyResult;
+
+use crate::error::wrong;
+use crate::scene::LoadedScene;
+
+/// What a training is to do.
+pub(crate) struct Plan {
+    pub(crate) scene: Arc<Scene>,
+    /// The last iteration.
+    pub(crate) iterations: u32,
+    config: ConfigFile,
+    out: Option<PathBuf>,
+    /// Whether its first part goes on with the run in `out`.
+    resumes: bool,
+    /// What it begins with, where that is not the points of the scene.
+    cloud: Option<Arc<Gaussians>>,
+}
+
+/// How a part of a training has ended.
+pub(crate) struct Ended {
+    /// `None` where it was stopped before its first step.
+    pub(crate) cloud: Option<(Arc<Gaussians>, RenderSettings)>,
+    /// Iterations that are done.
+    pub(crate) iteration: u32,
+    /// Whether it has come to its end.
+    pub(crate) is_whole: bool,
+    /// The figures, of a run with a folder.
+    pub(crate) metrics: Option<String>,
+    /// Where a training without a folder goes on.
+    checkpoint: Option<Box<Checkpoint>>,
+}
+
+impl Plan {
+    pub(crate) fn new(
+        scene: &LoadedScene,
+        mut config: ConfigFile,
+        (out, resumes): (Option<PathBuf>, bool),
+        cloud: Option<Arc<Gaussians>>,
+    ) -> PyResult<Self> {
+        config.dataset = scene.dataset.clone();
+        if out.is_none() {
+            config.train.checkpoint_every = 0;
+        }
+        config.check().map_err(wrong)?;
+        if config.train.background.fixed_colour() != scene.background {
+            return Err(wrong("the scene was loaded on another background; give Scene.load the same one"));
+        }
+        if out.is_none() && scene.dataset.corrections != Corrections::Off {
+            return Err(wrong("photos are brought to one exposure in the folder of a run alone; give out"));
+        }
+        let iterations = config.train.clone().resolve().map_err(wrong)?.iterations;
+        Ok(Self { scene: Arc::clone(&scene.scene), iterations, config, out, resumes, cloud })
+    }
+
+    /// Trains to the end, or until `stop` is set; goes on where the last part has ended.
+    pub(crate) fn run(
+        &self,
+        before: Option<Ended>,
+        along: &dyn Companion,
+        stop: &AtomicBool,
+    ) -> anyhow::Result<Ended> {
+        scene::check_promising(&self.scene, true)?;
+        match &self.out {
+            Some(out) => {
+                let resumes = self.resumes || before.is_some_and(|before| before.cloud.is_some());
+                self.run_in(out, resumes, along, stop)
+            }
+            None => self.run_alone(before.and_then(|before| before.checkpoint), along, stop),
+        }
+    }
+
+    fn run_alone(
+        &self,
+        checkpoint: Option<Box<Checkpoint>>,
+        along: &dyn Companion,
+        stop: &AtomicBool,
+    ) -> anyhow::Result<Ended> {
+        let settings = self.config.clone().resolve(Machine::default())?;
+        let start = match (checkpoint, &self.cloud) {
+            (Some(checkpoint), _) => Start::Checkpoint(checkpoint),
+            (None, Some(cloud)) => Start::Cloud((**cloud).clone()),
+            (None, None) => Start::Points(scene::points(&self.scene)),
+        };
+        let mut device = device::open(settings.device)?;
+        let mut reporter = Reporter::without_folder(stop).beside(Some(along));
+        let views = &self.scene.train;
+        let outcome = train(device.as_mut(), views, start, &settings.schedule, &mut reporter, stop)?;
+        reporter.into_result()?;
+        Ok(Ended {
+            cloud: Some((outcome.cloud.into(), settings.schedule.render_settings())),
+            iteration: outcome.summary.iterations,
+            is_whole: outcome.checkpoint.is_none(),
+            metrics: None,
+            checkpoint: outcome.checkpoint,
+        })
+    }
+
+    /// As the command does.
+    fn run_in(
+        &self,
+        out: &Path,
+        resumes: bool,
+        along: &dyn Companion,
+        stop: &AtomicBool,
+    ) -> anyhow::Result<Ended> {
+        let began = Instant::now();
+        ensure!(
+            self.cloud.is_none(),
+            "a run with a folder begins with the points of its scene; leave out splats"
+        );
+        overwrite::check_apart(&self.config.dataset.path, out)?;
+        let mut session = RunSession::claim(out, Caller::Train, resumes)?;
+        let (scene, exposure) = self.exposed(out, resumes)?;
+        let lpips = lpips::open(&lpips::Asked::default())?;
+        let settings = self.config.clone().resolve(Machine::default())?;
+        let run = Run {
+            settings: &settings,
+            scene: &scene,
+            exposure: exposure.as_ref(),
+            lpips: lpips.as_ref(),
+            stop,
+            page: None,
+            tensorboard: false,
+            companion: Some(along),
+            cluster: None,
+            accepts_changes: false,
+            began,
+        };
+        let ended = run.execute(&mut session)?;
+        drop(session);
+        Self::ended(out, &ended)
+    }
+
+    fn ended(out: &Path, ended: &training::Ended) -> anyhow::Result<Ended> {
+        let (metrics, is_whole) = match ended {
+            training::Ended::Whole(metrics) => (Some(metrics), true),
+            training::Ended::Stopped(metrics) => (Some(metrics), false),
+            training::Ended::Unscored | training::Ended::NotBegun => (None, false),
+        };
+        let has_cloud = !matches!(ended, training::Ended::NotBegun);
+        let splat = has_cloud.then(|| splat::open(out)).transpose()?;
+        Ok(Ended {
+            cloud: splat.map(|splat| (splat.cloud.into(), splat.settings)),
+            iteration: metrics.map_or(0, |metrics| metrics.iterations),
+            is_whole,
+            metrics: metrics.map(serde_json::to_string).transpose()?,
+            checkpoint: None,
+        })
+    }
+
+    /// The scene with its training photos at one exposure, where that is asked for.
+    fn exposed(&self, out: &Path, resumes: bool) -> anyhow::Result<(Arc<Scene>, Option<Exposure>)> {
+        let background = self.config.train.background.fixed_colour();
+        let exposure = match resumes {
+            true => Inputs::of_checkpoint(out)?.exposure,
+            false => exposure::decide(&self.scene, self.config.dataset.corrections, background)?,
+        };
+        let Some(exposure) = exposure else { return Ok((Arc::clone(&self.scene), None)) };
+        let mut scene = Scene::clone(&self.scene);
+        exposure.bring(&mut scene, Some(&spill()))?;
+        Ok((scene.into(), Some(exposure)))
+    }
+}
+
+/// Photos that memory should not hold go to the folder of temporary files.
+pub(crate) fn spill() -> Spill {
+    Spill { folder: std::env::temp_dir(), memory_bytes: scene::PHOTO_MEMORY }
+}

@@ -1,0 +1,49 @@
+"""What tests share: a small scene, and the command of the installed wheel."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import genesplat as gs
+import pytest
+
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a scene of 16 small photos."""
+    folder = tmp_path_factory.mktemp("scene") / "gallery"
+    gs.gallery(folder, views=16, width=64, height=48, points=400)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def scene(folder: Path) -> gs.Scene:
+    return gs.Scene.load(folder)
+
+
+@pytest.fixture(scope="session")
+def splats(scene: gs.Scene) -> gs.Splats:
+    """Trained for a moment."""
+    return gs.train(scene, "3dgs", 200, device="cpu")
+
+
+@pytest.fixture(scope="session")
+def program() -> str:
+    """The command that pip has installed beside this Python."""
+    found = shutil.which("genesplat", path=str(Path(sys.executable).parent))
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="session")
+def command(program: str) -> Command:
+    def run(*words: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([program, *map(str, words)], capture_output=True, text=True, check=False)
+
+    return run
