@@ -80,7 +80,7 @@ def test_everything_public_is_documented() -> None:
             if not member.startswith("_") and (callable(value) or isinstance(value, (property, classmethod))):
                 assert getattr(value, "__doc__", None), f"{name}.{member}"
     text = pydoc.plain(pydoc.render_doc(gs))
-    assert all(name in text for name in gs.__all__)
+    assert all(name in text for name in gs.__all__ if name != "__version__")
 
 
 @pytest.mark.parametrize("example", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)

@@ -4,7 +4,7 @@
 
     import genesplat as gs
 
-    scene = gs.Scene.load("fox")                      # COLMAP, nerfstudio, Blender, or a ZIP of one
+    scene = gs.Scene.load("fox")               # COLMAP, nerfstudio, instant-ngp or Blender
     trainer = gs.Trainer(scene, iterations=2000)
     for step in trainer:
         print(step.iteration, step.loss, step.gaussians)
@@ -68,3 +68,9 @@ __all__ = [
     "train",
     "use_threads",
 ]
+
+# Where help, errors and pickles say that they are.
+for _name in __all__:
+    if _name != "__version__":
+        globals()[_name].__module__ = "genesplat"
+del _name

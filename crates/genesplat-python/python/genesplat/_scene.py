@@ -77,7 +77,7 @@ class Scene:
         background: str = "black",
         seed: int = 0,
     ) -> Scene:
-        """Load a scene: a folder of COLMAP, nerfstudio or Blender.
+        """Load a scene: a folder of COLMAP, nerfstudio, instant-ngp or Blender.
 
         Photos above 1 GiB in all are kept in a file without a name in the folder of temporary files.
 
