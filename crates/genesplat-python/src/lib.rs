@@ -5,11 +5,13 @@
 
 mod arrays;
 mod cloud;
+mod density;
 mod error;
 mod listener;
 mod measure;
 mod photos;
 mod plan;
+mod rasterize;
 mod scene;
 mod search;
 mod training;
@@ -36,6 +38,8 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<cloud::Cloud>()?;
     module.add_class::<scene::LoadedScene>()?;
     module.add_class::<training::Training>()?;
+    rasterize::register(module)?;
+    density::register(module)?;
     module.add_function(wrap_pyfunction!(command, module)?)?;
     module.add_function(wrap_pyfunction!(use_threads, module)?)?;
     module.add_function(wrap_pyfunction!(measure::evaluate, module)?)?;

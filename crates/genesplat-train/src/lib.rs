@@ -17,6 +17,7 @@
 
 pub mod config;
 mod density;
+pub mod density_control;
 pub mod floaters;
 pub mod method;
 mod optimiser_step;
@@ -30,6 +31,7 @@ pub mod timeline;
 pub use config::{Background, ConfigError, StepBudget, TrainConfig};
 pub use density::cap::{GrowthToCome, expected_gaussians, starting_gaussians};
 pub use density::selection::edge_scores;
+pub use density_control::DensityControl;
 pub use method::{MethodConfig, MethodName};
 pub use optimiser_step::OptimiserStep;
 pub use pipeline::train;

@@ -6,6 +6,7 @@
 mod backend;
 mod bin;
 mod blend;
+mod differentiable;
 mod loss;
 mod memory;
 mod roofline;
@@ -17,6 +18,7 @@ mod update;
 mod view;
 
 pub use backend::CpuBackend;
+pub use differentiable::{DifferentiableView, ScreenGradient, ViewGradients};
 pub use loss::{PhotoRows, Target};
 pub use roofline::roofline_nanoseconds_per_intersection;
 pub use view::buffers::{StageSeconds, ViewBuffers};

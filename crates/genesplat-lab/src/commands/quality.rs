@@ -145,6 +145,7 @@ impl Study<'_> {
             tensorboard: false,
             cluster: None,
             accepts_changes: false,
+            companion: None,
             began,
         };
         Ok(match run.execute(&mut session)? {

@@ -58,6 +58,58 @@ class Training:
     def iteration(self) -> int: ...
     def metrics(self) -> Optional[str]: ...
 
+class RasterizedView:
+    def __init__(
+        self,
+        means: Float32,
+        quats: Float32,
+        scales: Float32,
+        opacities: Float32,
+        sh: Optional[Float32],
+        rgb: Optional[Float32],
+        sh_degree: int,
+        viewmat: Float32,
+        k: Float32,
+        size: tuple[int, int],
+        near: float,
+        far: float,
+        radius_clip: float,
+        antialiased: bool,
+    ) -> None: ...
+    def splats(self) -> tuple[Any, Float32, Any, Float32, Float32, Float32]: ...
+    def draw(self) -> tuple[Float32, Float32]: ...
+    def backward(
+        self, by_image: Float32, by_transmittance: Float32
+    ) -> tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Float32]: ...
+
+class Rows:
+    def __init__(self, means: Float32, scales: Float32, quats: Float32, opacities: Float32) -> None: ...
+    def edge_scores(
+        self,
+        photos: list[UInt8],
+        viewmats: list[list[list[float]]],
+        ks: list[list[list[float]]],
+        near: float,
+    ) -> Float32: ...
+
+class DensityControl:
+    def __init__(
+        self, method: str, iterations: int, every: int, photos: int, cap: int, seed: int
+    ) -> None: ...
+    def until(self) -> int: ...
+    def densifies(self, iteration: int) -> bool: ...
+    def reset(self, iteration: int) -> Optional[float]: ...
+    def budget(self, iteration: int) -> int: ...
+    def score_views(self, iteration: int, views: int) -> list[int]: ...
+    def decide(
+        self,
+        iteration: int,
+        gradient_sum: Float32,
+        weight_sum: Float32,
+        cloud: Rows,
+        scores: Optional[Float32],
+    ) -> tuple[Any, Any, Float32, Float32, Float32, tuple[int, int, int]]: ...
+
 def command(words: list[str]) -> int: ...
 def use_threads(threads: int) -> None: ...
 def evaluate(

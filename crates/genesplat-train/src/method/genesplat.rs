@@ -98,8 +98,8 @@ impl Method for Genesplat {
     }
 
     fn densify(&self, trainer: &mut Trainer<'_>, i: u32) -> Result<Plan, TrainError> {
-        let scored = (f64::from(trainer.run.schedule.iterations) * SCORED).round() as usize;
-        improved_gs::densify(trainer, i, scored.max(SCORE_VIEWS))
+        let most_views = most_score_views(trainer.run.schedule.iterations);
+        improved_gs::densify(trainer, i, most_views)
     }
 
     fn published_cap(&self) -> Option<usize> {
@@ -132,6 +132,11 @@ fn hasty(config: &TrainConfig, length: Length) -> Timeline {
     };
     timeline.haste = Some(HASTE);
     timeline.with_mean_of_last(HASTY_MEAN, config, length)
+}
+
+/// Views that have a say in a densification of a run of so many iterations, at most.
+pub(crate) fn most_score_views(iterations: u32) -> usize {
+    ((f64::from(iterations) * SCORED).round() as usize).max(SCORE_VIEWS)
 }
 
 /// Their pictures are made, or renewed, just before resets, when opacities have had most time to recover, and

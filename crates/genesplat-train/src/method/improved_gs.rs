@@ -13,7 +13,7 @@
 //! Ours alone: averaging, which then stands for the large steps (both take noise out of late steps of one
 //! view), and a budget from the photos (`capacity`).
 
-use genesplat_core::DensitySignal;
+use genesplat_core::{DensitySignal, Rng};
 
 use super::threedgs::{PRUNE_OPACITY, ThreeDgs};
 use super::{Method, MethodConfig, MethodName};
@@ -21,6 +21,7 @@ use crate::config::TrainConfig;
 use crate::density::{Plan, selection};
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
+use crate::schedule::Schedule;
 use crate::timeline::{Growth, Length, RECOVERY, Recovery, Timeline};
 
 /// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
@@ -31,7 +32,7 @@ pub(super) const CAP: usize = 1_000_000;
 pub(super) const FULL: [f64; 2] = [14_000.0, 14_500.0];
 
 /// Views that have a say in a densification.
-pub(super) const SCORE_VIEWS: usize = 10;
+pub(crate) const SCORE_VIEWS: usize = 10;
 
 /// Such pruning comes before this iteration only.
 const SLOW_UNTIL: u32 = 9000;
@@ -127,30 +128,37 @@ pub(super) fn without_resets(config: &TrainConfig, length: Length) -> Timeline {
 /// Splits and prunes; in the densification after one that pruned what was slow, as many as `most_views` views
 /// have a say.
 pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> Result<Plan, TrainError> {
-    let (rules, statistics) = (rules(trainer, i), trainer.backend.statistics()?);
+    let (views, cap) = (trainer.run.views.len(), trainer.run.cap.get().unwrap_or(CAP));
+    let rules = rules(trainer.run.schedule, cap, i);
+    let statistics = trainer.backend.statistics()?;
     let genes = trainer.finite_genes()?;
     let timeline = trainer.run.schedule.timeline();
     let scores = if timeline.is_full(i) {
         (0..genes.len()).map(|row| statistics.mean_gradient(row)).collect()
     } else {
-        let is_after = i > timeline.densify.every && timeline.prunes_slow(i - timeline.densify.every);
-        let (wanted, turn) = (if is_after { most_views } else { SCORE_VIEWS }, i / timeline.densify.every);
-        let shown = selection::views_of_turn(
-            trainer.run.views.len(),
-            wanted,
-            turn * SCORE_VIEWS as u32,
-            trainer.run.rng,
-        );
+        let shown = score_views(timeline, views, most_views, trainer.run.rng, i);
         let settings = trainer.settings(i);
         selection::edge_scores(trainer.backend, trainer.run.views, &shown, &settings)?
     };
     Ok(selection::plan(&statistics, &genes, &scores, &rules, trainer.run.rng, i))
 }
 
-fn rules(trainer: &Trainer<'_>, i: u32) -> selection::Rules {
-    let (timeline, threshold) =
-        (trainer.run.schedule.timeline(), trainer.run.config().method.gradient_threshold);
-    let cap = trainer.run.cap.get().unwrap_or(CAP);
+/// Which of so many views have a say in the densification of iteration `i`.
+pub(crate) fn score_views(
+    timeline: &Timeline,
+    views: usize,
+    most_views: usize,
+    rng: Rng,
+    i: u32,
+) -> Vec<usize> {
+    let is_after = i > timeline.densify.every && timeline.prunes_slow(i - timeline.densify.every);
+    let (wanted, turn) = (if is_after { most_views } else { SCORE_VIEWS }, i / timeline.densify.every);
+    selection::views_of_turn(views, wanted, turn * SCORE_VIEWS as u32, rng)
+}
+
+/// Thresholds of the densification of iteration `i`, in a run with at most `cap` Gaussians.
+pub(crate) fn rules(schedule: &Schedule, cap: usize, i: u32) -> selection::Rules {
+    let (timeline, threshold) = (schedule.timeline(), schedule.config().method.gradient_threshold);
     selection::Rules {
         gradient_threshold: if timeline.is_full(i) { threshold / LATE_EASING } else { threshold },
         budget: (cap as f64 * timeline.grown(i)) as usize,

@@ -16,8 +16,8 @@ use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::timeline::Timeline;
 
-mod genesplat;
-mod improved_gs;
+pub(crate) mod genesplat;
+pub(crate) mod improved_gs;
 mod mcmc;
 mod mip_splatting;
 mod pixel_gs;

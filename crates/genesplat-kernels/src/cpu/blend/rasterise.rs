@@ -153,19 +153,38 @@ pub(crate) fn compose(tiles: &[TileImage], band: &Band, background: [f32; 3], im
     if image.planes.is_empty() {
         return;
     }
-    let across = band.grid()[0];
     image.planes.par_chunks_mut(width * height).enumerate().for_each(|(channel, plane)| {
-        plane.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-            let tiles = &tiles[y / TILE * across..][..across];
-            let block_row = y % TILE / BLOCK * BLOCKS_ACROSS;
-            let lane = y % BLOCK * BLOCK;
-            for (column, values) in row.chunks_mut(BLOCK).enumerate() {
-                let block = &tiles[column / BLOCKS_ACROSS].blocks[block_row + column % BLOCKS_ACROSS];
-                for (x, value) in values.iter_mut().enumerate() {
-                    *value = block[channel][lane + x] + background[channel] * block[3][lane + x];
-                }
-            }
+        each_pixel(tiles, band, plane, |block, lane| {
+            block[channel][lane] + background[channel] * block[TRANSMITTANCE][lane]
         });
+    });
+}
+
+/// How much of the light behind all splats reaches each pixel of a band `[H, W]`.
+pub(crate) fn transmittance(tiles: &[TileImage], band: &Band) -> Vec<f32> {
+    let mut plane = vec![0.0; band.size_px().iter().product()];
+    each_pixel(tiles, band, &mut plane, |block, lane| block[TRANSMITTANCE][lane]);
+    plane
+}
+
+/// Fills a plane of a band with what `value` finds for a block and a pixel of it.
+fn each_pixel(
+    tiles: &[TileImage],
+    band: &Band,
+    plane: &mut [f32],
+    value: impl Fn(&[[f32; LANES]; 4], usize) -> f32 + Sync,
+) {
+    let (width, across) = (band.size_px()[0], band.grid()[0]);
+    plane.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, row)| {
+        let tiles = &tiles[y / TILE * across..][..across];
+        let block_row = y % TILE / BLOCK * BLOCKS_ACROSS;
+        let lane = y % BLOCK * BLOCK;
+        for (column, values) in row.chunks_mut(BLOCK).enumerate() {
+            let block = &tiles[column / BLOCKS_ACROSS].blocks[block_row + column % BLOCKS_ACROSS];
+            for (x, out) in values.iter_mut().enumerate() {
+                *out = value(block, lane + x);
+            }
+        }
     });
 }
 

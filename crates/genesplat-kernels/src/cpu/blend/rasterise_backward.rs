@@ -28,14 +28,20 @@ pub(crate) fn rasterise_backward(
     (camera, band): (&Pinhole, &Band),
     signal: Option<DensitySignal>,
 ) {
-    let ViewBuffers { splats, bins, image, image_gradient, gradient_rows, .. } = buffers;
+    let ViewBuffers { splats, bins, image, image_gradient, transmittance_term, gradient_rows, .. } = buffers;
     gradient_rows.resize(bins.intersections.len(), GradientRow::default());
     let lengths: Vec<usize> = (0..band.tiles()).map(|tile| bins.tile(tile).len()).collect();
     let by_tile = split(gradient_rows, &lengths).into_par_iter().enumerate();
     by_tile.for_each_init(TileState::default, |state, (tile, rows)| {
         let (origin, size_px, intersections) = (band.origin(tile), camera.size_px, bins.tile(tile));
         let top = origin[1] - band.pixel_rows().start;
-        let band = BandImage { size: band.size_px(), top, image: &image.planes, gradient: image_gradient };
+        let band = BandImage {
+            size: band.size_px(),
+            top,
+            image: &image.planes,
+            gradient: image_gradient,
+            transmittance_term,
+        };
         let task = TileTask { origin, size_px, intersections, splats, band };
         dispatch!(level, simd => match signal {
             None | Some(DensitySignal::Signed) => backward_tile::<NONE, _>(simd, &task, state, rows),
@@ -70,6 +76,8 @@ struct BandImage<'a> {
     /// The composed image, and the loss's gradient by it `[3, H, W]`.
     image: &'a [f32],
     gradient: &'a [f32],
+    /// `T · dL/dT` `[H, W]`, or nothing.
+    transmittance_term: &'a [f32],
 }
 
 /// One thread's working memory: the pixels of a tile, block by block.
@@ -84,7 +92,8 @@ struct TileState {
 #[repr(C, align(64))]
 struct BlockState {
     transmittance: [f32; LANES],
-    /// Light that the splats still to come and the background send along the gradient.
+    /// Light that the splats still to come and the background send along the gradient; what the loss makes of
+    /// the transmittance that is left is like light of the background.
     remaining: [f32; LANES],
     gradient: [[f32; LANES]; 3],
 }
@@ -144,7 +153,10 @@ fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
             let transmittance = full_transmittance(simd, block, task.origin, task.size_px);
             let image = load_block(simd, task.band.image, task, block);
             let gradient = load_block(simd, task.band.gradient, task, block);
-            let remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
+            let mut remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
+            if !task.band.transmittance_term.is_empty() {
+                remaining += load_plane(simd, task.band.transmittance_term, task, block);
+            }
             let state = &mut state.blocks[block];
             transmittance.store_slice(&mut state.transmittance);
             remaining.store_slice(&mut state.remaining);
@@ -299,21 +311,26 @@ fn half<S: Simd>(simd: S, values: &[f32; LANES], half: usize) -> f32x8<S> {
 #[inline(always)]
 fn load_block<S: Simd>(simd: S, planes: &[f32], task: &TileTask, block: usize) -> [V<S>; 3] {
     let [width, height] = task.band.size;
+    array!(channel => load_plane(simd, &planes[channel * width * height..], task, block))
+}
+
+/// A block of the band's pixels `[H, W]`; 0 outside of it.
+#[inline(always)]
+fn load_plane<S: Simd>(simd: S, plane: &[f32], task: &TileTask, block: usize) -> V<S> {
+    let [width, height] = task.band.size;
     let left = width.min(task.origin[0] + block % BLOCKS_ACROSS * BLOCK);
     let top = task.band.top + block / BLOCKS_ACROSS * BLOCK;
     let columns = BLOCK.min(width - left);
-    array!(channel => {
-        let mut values = [0.0; LANES];
-        for row in 0..BLOCK.min(height.saturating_sub(top)) {
-            let start = channel * width * height + (top + row) * width + left;
-            let pixels = &planes[start..start + columns];
-            let lanes = &mut values[row * BLOCK..][..BLOCK];
-            // A copy of known length is one instruction, not a call.
-            match pixels.first_chunk::<BLOCK>() {
-                Some(pixels) => lanes.copy_from_slice(pixels),
-                None => lanes[..columns].copy_from_slice(pixels),
-            }
+    let mut values = [0.0; LANES];
+    for row in 0..BLOCK.min(height.saturating_sub(top)) {
+        let start = (top + row) * width + left;
+        let pixels = &plane[start..start + columns];
+        let lanes = &mut values[row * BLOCK..][..BLOCK];
+        // A copy of known length is one instruction, not a call.
+        match pixels.first_chunk::<BLOCK>() {
+            Some(pixels) => lanes.copy_from_slice(pixels),
+            None => lanes[..columns].copy_from_slice(pixels),
         }
-        V::simd_from(simd, values)
-    })
+    }
+    V::simd_from(simd, values)
 }

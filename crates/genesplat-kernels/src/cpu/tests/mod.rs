@@ -8,6 +8,7 @@
 //! | each row of them | [`ROWS`] | sums of f32 that cancel; seen: 1e-3 of the row and 1.5e-7 of the longest; three times that |
 //! | Adam, MCMC's regularisers and noise | 1e-5 relative, absolute below 1 | f32 rounding over ten steps |
 
+mod differentiable;
 mod masks;
 mod robustness;
 mod stages;

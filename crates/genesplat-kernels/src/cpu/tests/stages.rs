@@ -7,7 +7,7 @@ use super::{
     buffers_of, compare, compare_columns, compare_gradients, compare_images, fill, flat, inputs, statistics,
 };
 use crate::cpu::score::tests::loss_of_image;
-use crate::cpu::update::for_tests::gradients;
+use crate::cpu::update::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, shortest_row,
@@ -118,7 +118,8 @@ fn parameter_gradients_match_the_reference() {
             let settings = settings(degree, filter);
             let (buffers, camera) = buffers_of(&cloud, &settings, Some(DensitySignal::Absolute));
             let inputs = inputs(&buffers, &camera, &settings, cloud.len());
-            let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
+            let (actual, density) =
+                gradients(Level::new(), &inputs, &mut cloud.clone(), Some(DensitySignal::Absolute));
             let (_, expected) =
                 reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
             compare_gradients(&actual, &expected.cloud)
@@ -146,7 +147,7 @@ fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
         compare_images(&buffers.image, &expected.picture.image).unwrap_or_else(context);
 
         let inputs = inputs(&buffers, &camera, &settings, cloud.len());
-        let (actual, _) = gradients(Level::new(), &inputs, &cloud, None);
+        let (actual, _) = gradients(Level::new(), &inputs, &mut cloud.clone(), None);
         let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
         compare_gradients(&actual, &expected.cloud).unwrap_or_else(context);
 

@@ -5,7 +5,8 @@ use genesplat_core::backend::McmcStep;
 use genesplat_core::{Device, Gaussians, Moments, Renderer, ScreenFilter, TrainStep};
 
 use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, inputs, mcmc_step};
-use crate::cpu::update::for_tests::{colours_as_they_are, gradients};
+use crate::cpu::update::for_tests::colours_as_they_are;
+use crate::cpu::update::gradients;
 use crate::fixtures::{cloud, settings, small_view, view};
 use genesplat_reference::{self as reference, Cloud64, Cutoff};
 
@@ -37,7 +38,7 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         let now = backend.download().unwrap().into_owned();
         let (buffers, camera) = buffers_of(&now, &settings, None);
         let inputs = inputs(&buffers, &camera, &settings, now.len());
-        let (gradient, _) = gradients(Level::new(), &inputs, &now, None);
+        let (gradient, _) = gradients(Level::new(), &inputs, &mut now.clone(), None);
         let gradient = Cloud64::from(&gradient);
         reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());
         backend.train_step(&step).unwrap();

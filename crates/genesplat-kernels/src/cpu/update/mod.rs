@@ -8,6 +8,7 @@
 mod adam;
 mod chunk;
 mod colour_steps;
+mod differentiate;
 mod geometry_backward;
 mod gradients;
 mod noise;
@@ -24,6 +25,7 @@ use super::view::{CHUNK, Pinhole, Splats};
 use adam::adam;
 use chunk::{ChunkGradients, ChunkView, chunks_mut};
 use colour_steps::ColourSteps;
+pub(crate) use differentiate::gradients;
 pub(crate) use gradients::ByTile;
 pub use gradients::SplatGradients;
 use noise::{noise, regularise};

@@ -49,6 +49,8 @@ pub struct ViewBuffers {
     pub photo: PhotoRows,
     /// `dL/dimage` `[3, H, W]`.
     pub image_gradient: Vec<f32>,
+    /// `T · dL/dT` of the transmittance of each pixel `[H, W]`; empty where a loss is of the image alone.
+    pub transmittance_term: Vec<f32>,
     /// One row of gradient sums for each intersection.
     pub gradient_rows: Vec<GradientRow>,
     /// Time spent.
@@ -57,9 +59,11 @@ pub struct ViewBuffers {
 
 impl ViewBuffers {
     pub(crate) fn bytes(&self) -> usize {
-        let Self { splats, bins, tiles, image, photo, image_gradient, gradient_rows, seconds: _ } = self;
-        let pictures = bytes_of(tiles) + bytes_of(&image.planes) + photo.bytes() + bytes_of(image_gradient);
-        splats.bytes() + bins.bytes() + pictures + bytes_of(gradient_rows)
+        let Self { splats, bins, tiles, image, photo, image_gradient, transmittance_term, .. } = self;
+        let gradients =
+            bytes_of(image_gradient) + bytes_of(transmittance_term) + bytes_of(&self.gradient_rows);
+        let pictures = bytes_of(tiles) + bytes_of(&image.planes) + photo.bytes();
+        splats.bytes() + bins.bytes() + pictures + gradients
     }
 
     /// Renders into `self.image`.

@@ -94,6 +94,29 @@ impl Splats {
         bytes_of(&self.slots) + bytes_of(&self.counts) + bytes_of(&self.seen)
     }
 
+    /// Drops those that are not to be kept.
+    pub fn retain(&mut self, keep: impl Fn(&Splat) -> bool) {
+        for (slots, count) in self.slots.chunks_mut(CHUNK).zip(&mut self.counts) {
+            let mut kept = 0;
+            for slot in 0..*count as usize {
+                if keep(&slots[slot]) {
+                    slots[kept] = slots[slot];
+                    kept += 1;
+                }
+            }
+            *count = kept as u32;
+        }
+    }
+
+    /// Gives each the colour of its row, as it is `[N, 3]`.
+    pub fn recolour(&mut self, rgb: &[[f32; 3]]) {
+        for (slots, &count) in self.slots.chunks_mut(CHUNK).zip(&self.counts) {
+            for splat in &mut slots[..count as usize] {
+                (splat.rgb, splat.clamped) = (rgb[splat.row as usize], 0);
+            }
+        }
+    }
+
     /// Makes room for others.
     pub fn clear(&mut self) {
         self.slots.clear();
