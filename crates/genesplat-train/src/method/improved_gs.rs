@@ -124,7 +124,7 @@ pub(super) fn timeline(config: &TrainConfig, length: Length) -> Timeline {
 /// have a say.
 pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> Result<Plan, TrainError> {
     let (views, cap) = (trainer.run.views.len(), trainer.run.cap.get().unwrap_or(CAP));
-    let rules = rules(&trainer.run.schedule, views, cap, i);
+    let rules = rules(trainer.run.schedule, views, cap, i);
     let statistics = trainer.backend.statistics()?;
     let genes = trainer.finite_genes()?;
     let timeline = trainer.run.schedule.timeline();
