@@ -46,7 +46,7 @@ impl PyDensityControl {
                 wrong(format!("method is {method:?}, but must be \"genesplat\" or \"improved-gs\""))
             })?;
         let control = DensityControl::new(name, iterations, every, photos, cap, seed);
-        control.map(Self).map_err(|error| wrong(error.to_string()))
+        control.map(Self).map_err(wrong)
     }
 
     /// Density control ends before this iteration.

@@ -44,6 +44,9 @@ type SplatArrays<'py> = (
     Bound<'py, PyArray1<f32>>,
 );
 
+/// Picture and transmittance.
+type DrawnArrays<'py> = (Bound<'py, PyArray3<f32>>, Bound<'py, PyArray2<f32>>);
+
 /// By means, quaternions, scales, opacities, harmonics, colours, means on the screen, and these with absolute
 /// values.
 type GradientArrays<'py> = (
@@ -136,7 +139,7 @@ impl RasterizedView {
     }
 
     /// The picture on black `[3, H, W]`, and the transmittance that is left `[H, W]`.
-    fn draw<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray3<f32>>, Bound<'py, PyArray2<f32>>)> {
+    fn draw<'py>(&self, py: Python<'py>) -> PyResult<DrawnArrays<'py>> {
         let [width, height] = self.size;
         let (image, left) = py.detach(|| {
             let mut view = self.view();
