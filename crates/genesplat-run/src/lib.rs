@@ -17,6 +17,7 @@
 //! | `metrics.json` | the figures |
 //! | `report.html` | all of it, to look at |
 //! | `snapshots/iteration-N.ply` | the splat at some iterations, where the live page was asked to save it |
+//! | `edited.ply` | what was edited on the page of the finished run, once it is saved there; then `edited-2.ply`, ... |
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
 //! | `.lock` | empty; whoever writes to the folder holds its lock |
 //!
@@ -27,6 +28,7 @@ pub mod cluster;
 pub mod cost;
 pub mod device;
 mod digest;
+pub mod edited;
 pub mod exposure;
 mod failure;
 pub mod files;

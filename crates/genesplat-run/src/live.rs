@@ -4,9 +4,10 @@ use anyhow::Result;
 use genesplat_core::{CloudRenderer, Gaussians, RenderSettings};
 use genesplat_io::Scene;
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{Address, LiveView, Phase, SceneViews};
+use genesplat_viewer::{Address, Download, Keeper, LiveView, Phase, SceneViews};
 
 use crate::device::Device;
+use crate::edited::EditedFile;
 use crate::{output, take_along};
 
 /// Serves a page of a run on `scene`, and says where.
@@ -43,6 +44,8 @@ pub struct Showing {
     pub device: Device,
     /// How.
     pub settings: RenderSettings,
+    /// Where pages save what they have edited.
+    pub edited: EditedFile,
 }
 
 impl Showing {
@@ -52,13 +55,32 @@ impl Showing {
         self.serve_until(&scene.name, Some(scene), is_over);
     }
 
-    /// Shows it, and makes the files that pages ask for.
+    /// Shows it, makes the files that pages ask for, and saves what they have edited.
     pub fn serve_until(&mut self, name: &str, scene: Option<&Scene>, is_over: impl FnMut(bool) -> bool) {
-        let mut renderer = CloudRenderer::new(self.device.as_mut(), self.settings);
         let name = scene.map_or(name, |scene| &scene.name);
-        let mut make = |download, renderer: &mut CloudRenderer<'_>| {
-            take_along::make(download, renderer, name, scene).map_err(|error| error.to_string())
-        };
-        self.live.serve_until(&mut renderer, &mut make, is_over);
+        let mut keeper = Files { title: name, scene, edited: &self.edited };
+        let is_lost = self.live.serve_until(self.device.as_mut(), self.settings, &mut keeper, is_over);
+        if is_lost {
+            output::tell("notice: what was edited on the page was not saved");
+        }
+    }
+}
+
+/// The files of a page.
+struct Files<'a> {
+    title: &'a str,
+    scene: Option<&'a Scene>,
+    edited: &'a EditedFile,
+}
+
+impl Keeper for Files<'_> {
+    fn make(&mut self, download: Download, renderer: &mut CloudRenderer<'_>) -> Result<Vec<u8>, String> {
+        take_along::make(download, renderer, self.title, self.scene).map_err(|error| error.to_string())
+    }
+
+    fn save(&mut self, renderer: &mut CloudRenderer<'_>) -> Result<String, String> {
+        let saved = self.edited.save(renderer).map_err(|error| error.to_string())?;
+        output::tell(&saved);
+        Ok(saved)
     }
 }

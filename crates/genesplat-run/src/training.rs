@@ -21,6 +21,7 @@ use super::test_curve::TestCurve;
 use super::{CONFIG, LOG, TEST, failure, inputs, memory};
 use crate::cluster::Cluster;
 use crate::device::Device;
+use crate::edited::EditedFile;
 use crate::exposure::{Exposure, Light};
 use crate::files::resolved;
 use crate::live::Showing;
@@ -95,7 +96,8 @@ impl Run<'_> {
         let ended = ended.map_err(|error| failure::explain(error, session.path(), session.caller()))?;
         let settings = self.settings.schedule.render_settings();
         let live = live.filter(|_| matches!(ended, Ended::Whole(_)));
-        Ok((ended, live.map(|live| Showing { live, device, settings })))
+        let edited = EditedFile::beside(session.path(), self.scene.digests.offset);
+        Ok((ended, live.map(|live| Showing { live, device, settings, edited })))
     }
 
     fn check(&self, session: &mut RunSession) -> Result<Device> {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use genesplat_core::{CloudRenderer, Device, Gaussians, RenderSettings, Rng, Stream};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{LiveView, SceneViews};
+use genesplat_viewer::{Download, Keeper, LiveView, SceneViews};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
@@ -39,6 +39,18 @@ fn connect(url: &str) -> WebSocket<TcpStream> {
     tungstenite::client(request, TcpStream::connect(host).expect("it listens")).expect("it answers").0
 }
 
+struct NoFiles;
+
+impl Keeper for NoFiles {
+    fn make(&mut self, _: Download, _: &mut CloudRenderer<'_>) -> Result<Vec<u8>, String> {
+        Err("no files here".into())
+    }
+
+    fn save(&mut self, _: &mut CloudRenderer<'_>) -> Result<String, String> {
+        Err("no files here".into())
+    }
+}
+
 fn main() {
     let numbers: Vec<usize> = std::env::args().skip(1).map(|word| word.parse().expect("a number")).collect();
     let gaussians = numbers.first().copied().unwrap_or(100_000);
@@ -54,10 +66,8 @@ fn main() {
         let mut backend = CpuBackend::new();
         backend.upload(cloud.into()).expect("memory");
         sender.send(live.url()).expect("it is awaited");
-        let mut renderer =
-            CloudRenderer::new(&mut backend, RenderSettings { sh_degree: 0, ..RenderSettings::default() });
-        let mut no_files = |_, _: &mut CloudRenderer<'_>| Err("no files here".into());
-        live.serve_until(&mut renderer, &mut no_files, |_| OVER.load(Ordering::Relaxed));
+        let settings = RenderSettings { sh_degree: 0, ..RenderSettings::default() };
+        live.serve_until(&mut backend, settings, &mut NoFiles, |_| OVER.load(Ordering::Relaxed));
     });
     let mut page = connect(&receiver.recv().expect("a URL"));
     for mode in ["colour", "depth", "count", "points", "ellipses"] {

@@ -4,6 +4,7 @@ import { CameraPath } from "./path.js";
 import { CameraStrip } from "./cameras.js";
 import { Charts } from "./charts.js";
 import { Connection } from "./connection.js";
+import { Editor } from "./edit.js";
 import { Navigator, isTaken, shortcutOf } from "./navigation.js";
 import { Stage } from "./stage.js";
 import { Status } from "./status.js";
@@ -24,6 +25,7 @@ let isFirst = true;
 const send = (message) => connection.send(message);
 const navigator = new Navigator($("stage"), moved, clicked);
 const stage = new Stage($("stage"), send, shown);
+const editor = new Editor($("stage"), navigator, () => stage.camera, send);
 const strip = new CameraStrip($("strip"), chooseCamera);
 const charts = new Charts($("charts"));
 const status = new Status(send);
@@ -33,7 +35,7 @@ const path = new CameraPath(
 );
 const connection = new Connection({
   hello,
-  state: (state) => { status.show(state); showPhase(state.phase); },
+  state: (state) => { status.show(state); editor.show(state); showPhase(state.phase); },
   curves: (curves) => charts.show(curves),
   notice: ({ text }) => status.notice(text),
   picture: (header, blob) => stage.show(header, blob),
@@ -45,6 +47,7 @@ function hello(message) {
   cards = message.cameras.map((card, index) => ({ ...card, index, thumbnail: `thumbnail/${index}` }));
   strip.fill(cards);
   stage.setScene(cards, message.distance);
+  editor.setScene(message);
   $("frusta").closest("label").hidden = cards.length === 0;
   $("legend-scale").style.background = message.scale;
   navigator.frame(message);
@@ -176,6 +179,7 @@ function repaint(now) {
   navigator.advance(Math.min((now - before) / 1000, 0.1));
   before = now;
   stage.tick(now);
+  editor.draw();
   requestAnimationFrame(repaint);
 }
 requestAnimationFrame(repaint);

@@ -77,6 +77,11 @@ export class Navigator {
     this.#target = add(pose.position, scale(ahead, Math.max(depth, 0.15 * this.#scene)));
   }
 
+  // What is turned around.
+  get target() {
+    return this.#target;
+  }
+
   set home(centre) {
     this.#home = centre;
   }

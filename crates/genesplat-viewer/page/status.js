@@ -24,6 +24,7 @@ export function timeLeft(seconds) {
 export class Status {
   phase = "connecting";
   #snapshotWait = 0;
+  #title = "genesplat";
   #at = (id) => document.getElementById(id);
   #noticeTimer = 0;
 
@@ -42,11 +43,18 @@ export class Status {
     this.#at("title").textContent = title;
     document.title = `${title} – genesplat`;
     this.#at("run-actions").hidden = !can_train;
-    this.#at("download-splat").download = `${title}.ply`;
-    this.#at("download-page").download = `${title}.html`;
+    this.#title = title;
+    this.#nameDownloads(0);
   }
 
-  show({ phase, iteration, iterations, gaussians, loss, psnr, device, snapshot_wait, seconds_left = null, can_download = false }) {
+  // What was edited has another name than what was not.
+  #nameDownloads(edits) {
+    const name = edits > 0 ? `${this.#title}-edited` : this.#title;
+    this.#at("download-splat").download = `${name}.ply`;
+    this.#at("download-page").download = `${name}.html`;
+  }
+
+  show({ phase, iteration, iterations, gaussians, loss, psnr, device, snapshot_wait, seconds_left = null, can_download = false, edits = 0 }) {
     this.#snapshotWait = snapshot_wait;
     this.setPhase(phase);
     this.#showSnapshot();
@@ -61,6 +69,7 @@ export class Status {
     const isTraining = phase === "training" || phase === "following";
     this.#text("left", isTraining && seconds_left !== null ? timeLeft(seconds_left) : "");
     this.#at("downloads").hidden = !can_download;
+    this.#nameDownloads(edits);
     // Who came while the run trained sees no buttons that do nothing.
     if (phase === "viewing") this.#at("run-actions").hidden = true;
     const progress = this.#at("progress");

@@ -1,16 +1,20 @@
 //! Where the threads of the pages and the one that renders meet: slots that hold the newest only, so that
 //! neither waits for the other.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use genesplat_core::Photo;
 
+use crate::edit::Edit;
 use crate::message::{ClientMessage, Look, PictureHeader};
 
 /// Most pages that are open at a time.
 pub(crate) const PAGES_MAX: usize = 8;
+/// Most edits that wait; a user makes them one by one.
+const EDITS_MAX: usize = 16;
 /// A page that is reloaded is away for less.
 const RELOAD: Duration = Duration::from_secs(10);
 
@@ -64,6 +68,9 @@ struct Inner {
     cloud_version: u64,
     board: [(u64, Arc<str>); TOPICS],
     requests: Requests,
+    /// What is shown may be edited.
+    takes_edits: bool,
+    edits: VecDeque<Edit>,
     is_closing: bool,
     empty_since: Option<Instant>,
 }
@@ -134,6 +141,10 @@ impl Hub {
             ClientMessage::Resume => inner.requests.paused = false,
             ClientMessage::Snapshot => inner.requests.snapshot = true,
             ClientMessage::Stop => inner.requests.stop = true,
+            ClientMessage::Crop(crop) => inner.push(Edit::Crop(crop)),
+            ClientMessage::Erase(stroke) => inner.push(Edit::Erase(stroke)),
+            ClientMessage::Undo => inner.push(Edit::Undo),
+            ClientMessage::Save => inner.push(Edit::Save),
         }
         self.asked.notify_all();
     }
@@ -180,8 +191,27 @@ impl Hub {
         self.lock().requests
     }
 
+    /// What is asked for once is not asked for any more: who asks while it is granted asks again.
+    pub(crate) fn take_requests(&self) -> Requests {
+        let mut inner = self.lock();
+        let asked = inner.requests;
+        (inner.requests.snapshot, inner.requests.stop) = (false, false);
+        asked
+    }
+
     pub(crate) fn change_requests(&self, change: impl FnOnce(&mut Requests)) {
         change(&mut self.lock().requests);
+    }
+
+    /// Edits are heard from now on, or no longer.
+    pub(crate) fn take_edits(&self, takes_edits: bool) {
+        let mut inner = self.lock();
+        inner.takes_edits = takes_edits;
+        inner.edits.clear();
+    }
+
+    pub(crate) fn next_edit(&self) -> Option<Edit> {
+        self.lock().edits.pop_front()
     }
 
     pub(crate) fn cloud_has_changed(&self) {
@@ -242,6 +272,14 @@ impl Hub {
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Inner {
+    fn push(&mut self, edit: Edit) {
+        if self.takes_edits && self.edits.len() < EDITS_MAX {
+            self.edits.push_back(edit);
+        }
     }
 }
 
@@ -312,6 +350,36 @@ mod tests {
         assert_eq!(served, ids);
         ids.iter().for_each(|&id| hub.leave(id));
         assert!(!hub.has_pages() && !hub.is_deserted(), "it may be a reload");
+    }
+
+    #[test]
+    fn who_asks_while_the_last_request_is_granted_asks_again() {
+        let hub = Hub::default();
+        let id = hub.enter().unwrap();
+        hub.hear(id, ClientMessage::Pause);
+        hub.hear(id, ClientMessage::Snapshot);
+        let granted = hub.take_requests();
+        hub.hear(id, ClientMessage::Snapshot);
+        assert!(granted.snapshot && granted.paused);
+        assert_eq!(hub.take_requests(), granted);
+        assert_eq!(hub.take_requests(), Requests { paused: true, snapshot: false, stop: false });
+    }
+
+    #[test]
+    fn edits_wait_in_order_where_they_are_taken_and_a_few_at_most() {
+        let hub = Hub::default();
+        let id = hub.enter().unwrap();
+        hub.hear(id, ClientMessage::Undo);
+        assert_eq!(hub.next_edit(), None, "the run trains");
+        hub.take_edits(true);
+        hub.hear(id, ClientMessage::Undo);
+        hub.hear(id, ClientMessage::Save);
+        assert_eq!(
+            [hub.next_edit(), hub.next_edit(), hub.next_edit()],
+            [Some(Edit::Undo), Some(Edit::Save), None]
+        );
+        (0..100).for_each(|_| hub.hear(id, ClientMessage::Undo));
+        assert_eq!(std::iter::from_fn(|| hub.next_edit()).count(), EDITS_MAX);
     }
 
     #[test]

@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`LiveView`] | the page of one run: its state, its curves, and the pictures that are due between two steps |
 //! | [`message`] | what page and server say to each other |
+//! | [`edit`] | which Gaussians a box or a brush removes, and how that is undone |
 //! | [`render_mode`] | depth, counts, points and ellipses, each as a cloud that an ordinary renderer shows |
 //! | [`path`] | camera paths, for animations |
 //! | [`standalone`] | a page to send: one file that holds the splat and draws it by itself |
@@ -25,6 +26,7 @@ pub mod bytes;
 mod clock;
 mod curves;
 mod downloads;
+pub mod edit;
 mod framing;
 mod gate;
 mod http;
@@ -45,7 +47,7 @@ pub use budget::Budget;
 pub use downloads::Download;
 pub use framing::Framing;
 pub use gate::Address;
-pub use live::{LiveView, Maker, Owner, Phase};
+pub use live::{Keeper, LiveView, Owner, Phase};
 pub use scene_views::{SceneViews, Split};
 
 /// Why there is no page.

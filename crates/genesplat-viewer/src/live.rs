@@ -1,5 +1,7 @@
 //! The page of one run: what its owner tells it, and the pictures that are due between two steps.
 
+mod showing;
+
 use std::time::Duration;
 
 use genesplat_core::constants::NEAR_DEPTH;
@@ -7,14 +9,15 @@ use genesplat_core::memory::ensure_memory;
 use genesplat_core::{BackendError, Camera, CloudRenderer, Device, Gaussians, Image, Photo, RenderSettings};
 use serde::Serialize;
 
+pub use showing::Keeper;
+
 use crate::ViewerError;
 use crate::budget::Budget;
 use crate::clock::Clock;
 use crate::curves::Curve;
-use crate::downloads::Download;
 use crate::gate::Address;
 use crate::hub::{Hub, Picture, Topic};
-use crate::message::{Look, PictureHeader, notice};
+use crate::message::{Look, PictureHeader, Pose, notice};
 use crate::picture::{ERROR_MAX, error_picture};
 use crate::render_mode::{RenderMode, derive, develop};
 use crate::scene_views::SceneViews;
@@ -52,9 +55,6 @@ pub enum Phase {
     Waiting,
 }
 
-/// Makes a file that a page asks for, of what the renderer holds; a sentence where it cannot.
-pub type Maker<'a> = &'a mut dyn FnMut(Download, &mut CloudRenderer<'_>) -> Result<Vec<u8>, String>;
-
 /// Who trains, and can be asked to save or to stop.
 pub trait Owner {
     /// Saves the cloud; says in a sentence what has become of it.
@@ -79,6 +79,11 @@ struct State {
     seconds_left: Option<f64>,
     /// The splat and a page to send can be had.
     can_download: bool,
+    /// What is shown may be edited.
+    can_edit: bool,
+    /// How many edits can be undone, and what they have removed.
+    edits: usize,
+    removed: usize,
     /// Until the next snapshot may be saved, whole seconds.
     snapshot_wait: u32,
 }
@@ -139,6 +144,9 @@ impl LiveView {
             psnr: None,
             seconds_left: None,
             can_download: false,
+            can_edit: false,
+            edits: 0,
+            removed: 0,
             snapshot_wait: 0,
         };
         let server = Server::start(address.into(), scene_views, can_train)?;
@@ -270,45 +278,6 @@ impl LiveView {
         }
     }
 
-    /// Shows a cloud that nothing changes, and makes files of it, until `is_over`, which hears whether
-    /// anybody looks.
-    pub fn serve_until(
-        &mut self,
-        renderer: &mut CloudRenderer<'_>,
-        make: Maker<'_>,
-        mut is_over: impl FnMut(bool) -> bool,
-    ) {
-        self.hub().cloud_has_changed();
-        self.open_downloads(self.state.gaussians > 0);
-        while !is_over(self.is_watched()) {
-            if let Some(download) = self.server.shared.downloads.wanted() {
-                self.make(download, renderer, &mut *make);
-            } else if !self.serve(renderer, true) {
-                self.hub().wait(WAIT);
-            }
-        }
-        self.open_downloads(false);
-    }
-
-    fn open_downloads(&mut self, is_open: bool) {
-        self.server.shared.downloads.set_open(is_open);
-        self.state.can_download = is_open;
-        self.post(true);
-    }
-
-    fn make(&self, download: Download, renderer: &mut CloudRenderer<'_>, make: Maker<'_>) {
-        let made = make(download, renderer);
-        if let Err(sentence) = &made {
-            self.notice(sentence);
-        }
-        self.server.shared.downloads.answer(download, made.ok());
-    }
-
-    /// A page is open, or was a moment ago, or a file is on its way.
-    fn is_watched(&self) -> bool {
-        !self.hub().is_deserted() || self.server.shared.downloads.is_busy()
-    }
-
     /// Nothing is trained: pictures have all the time, until pages want the run to go on, or all of them are
     /// gone.
     fn rest(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
@@ -325,7 +294,7 @@ impl LiveView {
     }
 
     fn grant(&mut self, renderer: &mut CloudRenderer<'_>, owner: &mut dyn Owner) {
-        let requests = self.hub().requests();
+        let requests = self.hub().take_requests();
         if requests.snapshot {
             let sentence = self.snapshot(renderer, owner);
             self.notice(&sentence);
@@ -333,7 +302,6 @@ impl LiveView {
         if requests.stop {
             owner.stop();
         }
-        self.hub().change_requests(|requests| (requests.snapshot, requests.stop) = (false, false));
     }
 
     /// A page could ask for one after each step, and fill the disk.
@@ -363,11 +331,7 @@ impl LiveView {
     fn take(&mut self, look: &Look, renderer: &mut CloudRenderer<'_>) -> Result<Vec<Picture>, BackendError> {
         let began = self.clock.seconds();
         let Look { sequence, width, height, quality, .. } = *look;
-        let known = look.camera.and_then(|index| self.server.shared.scene_views.camera(index));
-        let scene_views = &self.server.shared.scene_views;
-        let near = scene_views.camera(0).map_or(NEAR_DEPTH, |camera| camera.near);
-        let free = || Camera { near, ..look.pose.camera(width, height) };
-        let camera = known.map_or_else(free, |camera| camera.resized(width, height));
+        let camera = self.camera(&look.pose, look.camera, [width, height]);
         let (photo, range) = self.photograph(look.render_mode, &camera, renderer)?;
         let milliseconds = (1e3 * (self.clock.seconds() - began)) as f32;
         let header = PictureHeader { sequence, error: false, range, milliseconds };
@@ -379,6 +343,15 @@ impl LiveView {
         };
         let error = compared.map(error).transpose()?;
         Ok([Picture { header, photo, quality }].into_iter().chain(error).collect())
+    }
+
+    /// The scene's camera of this index, else one at `pose`.
+    fn camera(&self, pose: &Pose, index: Option<u32>, [width, height]: [u32; 2]) -> Camera {
+        let scene_views = &self.server.shared.scene_views;
+        let near = scene_views.camera(0).map_or(NEAR_DEPTH, |camera| camera.near);
+        let known = index.and_then(|index| scene_views.camera(index));
+        let free = || Camera { near, ..pose.camera(width, height) };
+        known.map_or_else(free, |camera| camera.resized(width, height))
     }
 
     fn photograph(

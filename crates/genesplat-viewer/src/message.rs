@@ -6,10 +6,11 @@ use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use crate::edit::{Crop, Stroke};
 use crate::render_mode::RenderMode;
 
-/// Longest message of a page, bytes.
-pub const MESSAGE_BYTES_MAX: usize = 2048;
+/// Longest message of a page, bytes: a stroke of a brush has some hundred points.
+pub const MESSAGE_BYTES_MAX: usize = 8192;
 /// Sides of a picture that may be asked for, px.
 pub const SIDE_PX: std::ops::RangeInclusive<u32> = 16..=4096;
 /// Most pixels of a picture.
@@ -22,7 +23,7 @@ pub const FOV_Y: std::ops::RangeInclusive<f64> = 0.02..=2.8;
 const COORDINATE_MAX: f64 = 1e9;
 
 /// What a page wants.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "type", rename_all = "kebab-case")]
 pub enum ClientMessage {
     /// A picture, instead of all that it asked for before.
@@ -35,6 +36,14 @@ pub enum ClientMessage {
     Snapshot,
     /// The run shall end here, and be saved.
     Stop,
+    /// What is in a box, or all else, shall go.
+    Crop(Crop),
+    /// What is under a brush shall go.
+    Erase(Stroke),
+    /// The last edit shall be as if it had not been.
+    Undo,
+    /// The edited splat shall be saved.
+    Save,
 }
 
 /// A picture that is asked for.
@@ -94,36 +103,56 @@ impl ClientMessage {
         if bytes.len() > MESSAGE_BYTES_MAX {
             return Err(MessageError::TooLong);
         }
-        let message = serde_json::from_slice(bytes).map_err(|error| MessageError::Json(error.to_string()))?;
-        if let Self::Look(look) = &message {
-            look.check()?;
-        }
+        let read = serde_json::from_slice(bytes);
+        let message: Self = read.map_err(|error| MessageError::Json(error.to_string()))?;
+        message.check()?;
         Ok(message)
     }
+
+    fn check(&self) -> Result<(), MessageError> {
+        match self {
+            Self::Look(look) => look.check(),
+            Self::Crop(crop) => crop.check(),
+            Self::Erase(stroke) => stroke.check(),
+            Self::Pause | Self::Resume | Self::Snapshot | Self::Stop | Self::Undo | Self::Save => Ok(()),
+        }
+    }
+}
+
+pub(crate) fn check_size(width: u32, height: u32) -> Result<(), MessageError> {
+    let is_size = SIDE_PX.contains(&width) && SIDE_PX.contains(&height) && width * height <= PIXELS_MAX;
+    if is_size { Ok(()) } else { Err(MessageError::Range("the size")) }
+}
+
+/// Numbers that are not finite are not near, either.
+pub(crate) fn check_place(place: &[f64; 3], what: &'static str) -> Result<(), MessageError> {
+    let is_near = place.iter().all(|value| value.abs() <= COORDINATE_MAX);
+    if is_near { Ok(()) } else { Err(MessageError::Range(what)) }
+}
+
+pub(crate) fn check_rotation(rotation: &[f64; 4]) -> Result<(), MessageError> {
+    let norm = rotation.iter().map(|value| value * value).sum::<f64>();
+    if (0.25..=4.0).contains(&norm) { Ok(()) } else { Err(MessageError::Range("the rotation")) }
 }
 
 impl Look {
     fn check(&self) -> Result<(), MessageError> {
-        let Self { width, height, quality, .. } = *self;
-        let is_size = SIDE_PX.contains(&width) && SIDE_PX.contains(&height) && width * height <= PIXELS_MAX;
-        let checks = [(is_size, "the size"), (QUALITY.contains(&quality), "the quality")];
-        match checks.iter().find(|(holds, _)| !holds) {
-            Some((_, what)) => Err(MessageError::Range(what)),
-            None => self.pose.check(),
+        check_size(self.width, self.height)?;
+        match QUALITY.contains(&self.quality) {
+            true => self.pose.check(),
+            false => Err(MessageError::Range("the quality")),
         }
     }
 }
 
 impl Pose {
-    fn check(&self) -> Result<(), MessageError> {
-        let norm = self.rotation.iter().map(|value| value * value).sum::<f64>();
-        let is_near = |value: &f64| value.abs() <= COORDINATE_MAX;
-        let checks = [
-            (self.position.iter().all(is_near), "the position"),
-            ((0.25..=4.0).contains(&norm), "the rotation"),
-            (FOV_Y.contains(&self.fov_y), "the field of view"),
-        ];
-        checks.iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, what)| Err(MessageError::Range(what)))
+    pub(crate) fn check(&self) -> Result<(), MessageError> {
+        check_place(&self.position, "the position")?;
+        check_rotation(&self.rotation)?;
+        match FOV_Y.contains(&self.fov_y) {
+            true => Ok(()),
+            false => Err(MessageError::Range("the field of view")),
+        }
     }
 
     pub(crate) fn is_sound(&self) -> bool {
@@ -211,6 +240,32 @@ mod tests {
         let unknown = LOOK.replacen("render_mode", "lens", 1);
         assert!(matches!(ClientMessage::parse(unknown.as_bytes()), Err(MessageError::Json(_))), "{unknown}");
         assert_eq!(ClientMessage::parse(br#"{"type":"pause"}"#), Ok(ClientMessage::Pause));
+    }
+
+    #[test]
+    fn edits_are_read_and_what_no_page_sends_is_refused() {
+        let crop = r#"{"type":"crop","centre":[0,0,0],"rotation":[1,0,0,0],"half_sizes":[1,2,3],"removes":"outside"}"#;
+        let erase = r#"{"type":"erase","pose":{"position":[1,2,3],"rotation":[1,0,0,0],"fov_y":1},
+            "width":320,"height":200,"radius":20,"path":[[1,2],[3,4]]}"#;
+        let parse = |text: &str| ClientMessage::parse(text.as_bytes());
+        assert!(matches!(parse(crop), Ok(ClientMessage::Crop(crop)) if crop.half_sizes == [1.0, 2.0, 3.0]));
+        assert!(matches!(parse(erase), Ok(ClientMessage::Erase(stroke)) if !stroke.through));
+        assert_eq!(parse(r#"{"type":"undo"}"#), Ok(ClientMessage::Undo));
+        let long = format!("[[1,2]{}]", ",[3,4]".repeat(crate::edit::STROKE_POINTS_MAX));
+        for (text, good, bad, what) in [
+            (crop, "[1,2,3]", "[1,0,3]", "the size of the box"),
+            (crop, "[0,0,0]", "[0,0,2e9]", "the middle of the box"),
+            (crop, "[1,0,0,0]", "[3,0,0,0]", "the rotation"),
+            (erase, ":320", ":5", "the size"),
+            (erase, ":20,", ":0.5,", "the radius of the brush"),
+            (erase, "[[1,2],[3,4]]", "[]", "the length of the stroke"),
+            (erase, "[[1,2],[3,4]]", &long, "the length of the stroke"),
+            (erase, "[3,4]", "[3,1e6]", "a point of the stroke"),
+            (erase, ":1}", ":9}", "the field of view"),
+        ] {
+            let spoilt = text.replacen(good, bad, 1);
+            assert_eq!(parse(&spoilt), Err(MessageError::Range(what)), "{spoilt}");
+        }
     }
 
     #[test]

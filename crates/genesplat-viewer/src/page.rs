@@ -5,7 +5,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Name, kind, content.
-const PARTS: [(&str, &str, &str); 12] = [
+const PARTS: [(&str, &str, &str); 13] = [
     ("", HTML, include_str!("../page/index.html")),
     ("style.css", CSS, include_str!("../page/style.css")),
     ("icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
@@ -13,6 +13,7 @@ const PARTS: [(&str, &str, &str); 12] = [
     ("cameras.js", JAVASCRIPT, include_str!("../page/cameras.js")),
     ("charts.js", JAVASCRIPT, include_str!("../page/charts.js")),
     ("connection.js", JAVASCRIPT, include_str!("../page/connection.js")),
+    ("edit.js", JAVASCRIPT, include_str!("../page/edit.js")),
     ("navigation.js", JAVASCRIPT, include_str!("../page/navigation.js")),
     ("path.js", JAVASCRIPT, include_str!("../page/path.js")),
     ("stage.js", JAVASCRIPT, include_str!("../page/stage.js")),

@@ -36,8 +36,8 @@ const POINT_PX: f64 = 0.7;
 /// An ellipsoid's standard deviations, of those of the Gaussian: smaller, so that neighbours can be told
 /// apart.
 const ELLIPSE_SCALE: f32 = 0.4;
-/// Gaussians below this opacity are no points and no ellipsoids: haze would hide the rest.
-const SHOWN_OPACITY: f32 = 0.05;
+/// Gaussians below this opacity are no points, no ellipsoids and no layer: haze would hide the rest.
+pub(crate) const SHOWN_OPACITY: f32 = 0.05;
 /// Where less is blended there is no depth.
 const DEPTH_COVERAGE_MIN: f32 = 0.1;
 

@@ -83,3 +83,8 @@ fn pictures_keep_their_shape_and_late_ones_are_announced() {
 fn the_button_for_a_snapshot_counts_down() {
     run("snapshot");
 }
+
+#[test]
+fn a_box_is_moved_by_its_faces_and_a_stroke_has_an_end() {
+    run("edit");
+}

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use genesplat_core::{CloudRenderer, Device, Gaussians, RenderSettings, Rng, Stream};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_viewer::{Download, LiveView, SceneViews};
+use genesplat_viewer::{Download, Keeper, LiveView, SceneViews};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
@@ -29,6 +29,23 @@ pub(crate) fn cloud(gaussians: usize) -> Gaussians {
         (0..3).for_each(|channel| cloud.sh[row][channel] = 3.0 * colour.uniform(channel) - 1.5);
     }
     cloud
+}
+
+/// Makes files that say how many Gaussians there are.
+struct TestKeeper;
+
+impl Keeper for TestKeeper {
+    fn make(&mut self, download: Download, renderer: &mut CloudRenderer<'_>) -> Result<Vec<u8>, String> {
+        let gaussians = renderer.cloud().map_err(|error| error.to_string())?.len();
+        match download {
+            Download::Splat => Ok(vec![b'x'; 1000 * gaussians]),
+            Download::Page => Err("no page today".into()),
+        }
+    }
+
+    fn save(&mut self, renderer: &mut CloudRenderer<'_>) -> Result<String, String> {
+        Ok(format!("{} are saved", renderer.cloud().map_err(|error| error.to_string())?.len()))
+    }
 }
 
 /// A finished splat that is shown until this is dropped.
@@ -55,17 +72,8 @@ impl Show {
             sender.send(live.url()).unwrap();
             let settings = RenderSettings { sh_degree: 0, ..RenderSettings::default() };
             live.begin("test", gaussians, 0);
-            live.serve_until(
-                &mut CloudRenderer::new(&mut backend, settings),
-                &mut |download, renderer| {
-                    let gaussians = renderer.cloud().map_err(|error| error.to_string())?.len();
-                    match download {
-                        Download::Splat => Ok(vec![b'x'; 1000 * gaussians]),
-                        Download::Page => Err("no page today".into()),
-                    }
-                },
-                |_| of_thread.load(Ordering::Relaxed),
-            );
+            let is_over = |_| of_thread.load(Ordering::Relaxed);
+            live.serve_until(&mut backend, settings, &mut TestKeeper, is_over);
         });
         Self { url: receiver.recv().unwrap(), stop, thread: Some(thread) }
     }

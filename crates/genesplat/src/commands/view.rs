@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use genesplat::io::shown;
 use genesplat::run::LOG;
+use genesplat::run::edited::EditedFile;
 use genesplat::run::follow::Followed;
 use genesplat::run::live::Showing;
 use genesplat::run::report::curves::Curves;
@@ -33,11 +34,12 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let name = files::resolved(path);
     let name = name.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(&args.page.address(), &name, &splat.cloud, scene.as_ref())?;
+    let edited = EditedFile::beside(path, splat.offset);
     let (gaussians, settings) = (splat.cloud.len(), splat.settings);
     device.upload(splat.cloud.into())?;
     live.begin(&device.describe(), gaussians, 0);
     replay(path, &mut live);
-    let mut showing = Showing { live, device, settings };
+    let mut showing = Showing { live, device, settings, edited };
     if let Some(followed) = &mut followed {
         output::tell(&format!("{} is not finished; the page shows what it has saved last", shown(path)));
         let until = |showing: &mut Showing, is_over: &dyn Fn() -> bool| {

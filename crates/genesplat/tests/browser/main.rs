@@ -1,6 +1,7 @@
 //! Both pages in a real browser: what a user does with them, and what they look like.
 #![cfg(unix)]
 
+mod edits;
 mod page_to_send;
 mod webdriver;
 
@@ -120,6 +121,11 @@ fn a_user_looks_around_pauses_and_stops() {
         "true"
     );
     assert_eq!(browser.run(ITERATION), paused_at, "a pause is one");
+    let is_hidden = |id: &str| browser.run(&format!("return document.getElementById('{id}').hidden"));
+    assert_eq!(
+        [is_hidden("edit-tools"), is_hidden("downloads"), is_hidden("edit-waits")],
+        [true, true, false]
+    );
     look_at_a_camera(&browser);
     look_in_all_modes(&browser);
 

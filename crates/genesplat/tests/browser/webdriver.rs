@@ -123,6 +123,11 @@ impl Browser {
         self.cdp("Emulation.setEmulatedMedia", &json!({"features": features}));
     }
 
+    /// What is downloaded from now on is saved in this folder.
+    pub(crate) fn save_downloads(&self, folder: &Path) {
+        self.cdp("Browser.setDownloadBehavior", &json!({"behavior": "allow", "downloadPath": folder}));
+    }
+
     fn cdp(&self, command: &str, parameters: &Value) {
         self.post("goog/cdp/execute", &json!({"cmd": command, "params": parameters}));
     }
