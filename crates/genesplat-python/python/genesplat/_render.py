@@ -26,7 +26,8 @@ def render(
     Args:
         splats: What is drawn.
         viewmats: Camera from world ``[C, 4, 4]``, or ``[4, 4]`` for one camera; x right, y down, z forward.
-        Ks: Pinhole intrinsics in pixels ``[C, 3, 3]``, or ``[3, 3]``: ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``.
+        Ks: Pinhole intrinsics in pixels ``[C, 3, 3]``, or ``[3, 3]``:
+            ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``.
         width: Of the pictures, pixels.
         height: Of the pictures, pixels.
         background: RGB behind the splats, 0 to 1.
