@@ -322,6 +322,7 @@ def test_nothing_in_front_of_the_camera_is_a_black_picture():
 
 WRONG = [
     ({"opacities": torch.full((COUNT,), 1.5)}, {}, ValueError, "after the sigmoid"),
+    ({"means": np.ones((COUNT, 3), np.float32)}, {}, TypeError, "from_numpy"),
     ({"scales": torch.ones(COUNT, 2)}, {}, ValueError, "scales has the shape"),
     ({"colors": torch.ones(COUNT + 1, 3)}, {}, ValueError, "colors has the shape"),
     ({"colors": torch.ones(COUNT, 4, 3)}, {"sh_degree": 2}, ValueError, "at least 9"),

@@ -21,6 +21,8 @@
 `evaluate`             PSNR, SSIM and LPIPS on photos
 `genetic_search`       the genetic search of "An Evolutionary Boost to Gaussian Splatting
                        Optimization", on splats of any trainer
+`genesplat.torch`      a differentiable rasteriser with gsplat's arguments, for PyTorch
+`genesplat.strategy`   density control with the interface of gsplat's strategies, for PyTorch
 `use_threads`          how many processor threads all of this takes
 `Error`                what is raised where something goes wrong: one sentence with what to do
 =====================  ======================================================================

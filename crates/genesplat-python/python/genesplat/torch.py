@@ -15,7 +15,7 @@ Numbers are gsplat's up to rounding but for one thing: alpha ends at 0.99, as in
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, Optional, Tuple, Union
 
 import numpy as np
 
@@ -101,16 +101,23 @@ def rasterization(
         `tile_size`, `tile_width`, `tile_height`.
 
     Raises:
+        TypeError: something is no tensor.
         ValueError: a shape or a value is wrong.
         NotImplementedError: gsplat has it, and this rasteriser has not.
     """
     refused = {"sparse_grad": sparse_grad, "distributed": distributed, "covars": covars, **others}
-    _refuse(refused, eps2d, camera_model, (viewmats, Ks))
+    _refuse(refused, eps2d, camera_model)
     if render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode is {render_mode!r}, but must be one of {', '.join(RENDER_MODES)}")
     if rasterize_mode not in RASTERIZE_MODES:
         raise ValueError(
             f"rasterize_mode is {rasterize_mode!r}, but must be one of {', '.join(RASTERIZE_MODES)}"
+        )
+    given = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
+    _check_tensors({**given, "viewmats": viewmats, "Ks": Ks, "backgrounds": backgrounds})
+    if torch.is_grad_enabled() and (viewmats.requires_grad or Ks.requires_grad):
+        raise NotImplementedError(
+            "there are no gradients by viewmats and Ks; pass viewmats.detach() and Ks.detach()"
         )
     device, dtype = means.device, means.dtype
     _check_shapes(means, quats, scales, opacities, viewmats, Ks)
@@ -131,7 +138,7 @@ def rasterization(
     return colours.to(device, dtype), alpha.to(device, dtype), meta
 
 
-def _refuse(others: Dict[str, Any], eps2d: float, camera_model: str, cameras: Sequence[Tensor]) -> None:
+def _refuse(others: Dict[str, Any], eps2d: float, camera_model: str) -> None:
     for name, value in others.items():
         if value is not None and value is not False:
             raise NotImplementedError(f"genesplat.torch.rasterization has no {name}; leave it out")
@@ -141,10 +148,13 @@ def _refuse(others: Dict[str, Any], eps2d: float, camera_model: str, cameras: Se
         raise NotImplementedError(
             f"camera_model is {camera_model!r}, but genesplat's kernels know pinhole cameras alone"
         )
-    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in cameras):
-        raise NotImplementedError(
-            "there are no gradients by viewmats and Ks; pass viewmats.detach() and Ks.detach()"
-        )
+
+
+def _check_tensors(given: Dict[str, Any]) -> None:
+    for name, value in given.items():
+        if value is not None and not isinstance(value, Tensor):
+            kind = type(value).__name__
+            raise TypeError(f"{name} is of type {kind}, not a tensor; torch.from_numpy makes one of an array")
 
 
 def _check_shapes(
