@@ -133,7 +133,7 @@ fn camera(
     let is_rotation = error.into_iter().all(|error| error < ROTATION_ERROR) && rotation.determinant() > 0.0;
     if !is_rotation || !column(3).is_finite() {
         return Err(wrong(format!(
-            "viewmats[{at}] is no rigid motion; give camera_from_world with a rotation in its first three columns"
+            "viewmats[{at}] is no rigid motion; give camera_from_world, a rotation and a translation"
         )));
     }
     let (focal_px, principal_px) = ([lens[[0, 0]], lens[[1, 1]]], [lens[[0, 2]], lens[[1, 2]]]);

@@ -7,6 +7,7 @@ use std::sync::Mutex;
 
 use anyhow::Result;
 use genesplat::run::output::{Progress, Tell, Work, listen};
+use genesplat::terminal::output::Terminal;
 use pyo3::prelude::*;
 use pyo3::types::PyAnyMethods;
 
@@ -52,7 +53,7 @@ impl Tell for Listener {
     }
 
     fn without_drivers(&self, ask: &mut dyn FnMut()) {
-        ask();
+        Terminal.without_drivers(ask);
     }
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,16 @@ import genesplat as gs
 import pytest
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def wait_for_step(run: Path) -> None:
+    """Returns once the run in this folder has made a step; fails where it never does."""
+    log = run / "log.jsonl"
+    for _ in range(30_000):
+        if log.exists() and '"step"' in log.read_text():
+            return
+        time.sleep(0.02)
+    raise AssertionError(f"no step in {log}")
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,9 @@ def test_scores_of_a_file_are_those_of_its_splats(scene: gs.Scene, splats: gs.Sp
     assert gs.evaluate(tmp_path / "a.ply", scene, device="cpu") == gs.evaluate(splats, scene, device="cpu")
 
 
-def test_what_cannot_be_scored_is_told(folder: Path, scene: gs.Scene, splats: gs.Splats, tmp_path: Path) -> None:
+def test_what_cannot_be_scored_is_told(
+    folder: Path, scene: gs.Scene, splats: gs.Splats, tmp_path: Path
+) -> None:
     with pytest.raises(ValueError, match="give a scene"):
         gs.evaluate(splats)
     with pytest.raises(ValueError, match="split is 'both'"):

@@ -63,7 +63,7 @@ def test_a_reconstruction_of_pycolmap_is_a_scene(folder: Path, tmp_path: Path) -
                 shutil.copy(file, model)
 
     scene = gs.Scene.from_pycolmap(Reconstruction(), folder / "images", hold_out=4)
-    assert len(scene.test) == 4 and not Path(scene.path).exists()
+    assert (scene.name, len(scene.test)) == ("gallery", 4) and not Path(scene.path).exists()
     kept = gs.Scene.from_pycolmap(Reconstruction(), folder / "images", folder=tmp_path / "kept")
     assert len(kept.train) == 14 and (tmp_path / "kept" / "sparse" / "0").is_dir()
 

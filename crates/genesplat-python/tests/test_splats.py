@@ -14,6 +14,19 @@ def some(count: int = 5, others: int = 3) -> gs.Splats:
     return gs.Splats(*(random.normal(size=shape).astype(np.float32) for shape in shapes))
 
 
+class Tensor:
+    """What torch has on a card: NumPy can have it once it is detached and in main memory."""
+
+    def __init__(self, values: object) -> None:
+        self.values = np.asarray(values)
+
+    def detach(self) -> Tensor:
+        return self
+
+    def cpu(self) -> Any:
+        return self.values
+
+
 def test_arrays_have_the_names_and_shapes_of_gsplat(splats: gs.Splats) -> None:
     count = len(splats)
     assert splats.means.shape == splats.log_scales.shape == splats.scales.shape == (count, 3)
@@ -144,19 +157,12 @@ def test_what_antialiases_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_tensor_is_copied_from_its_device() -> None:
-    class Tensor:
-        def __init__(self, values: object) -> None:
-            self.values = np.asarray(values)
-
-        def detach(self) -> Tensor:
-            return self
-
-        def cpu(self) -> Any:
-            return self.values
-
     plain = some()
     tensors: list[Any] = [Tensor(array) for array in plain._arrays()]
     assert np.array_equal(gs.Splats(*tensors).means, plain.means)
+    pose: Any = Tensor(np.eye(4))
+    lens: Any = Tensor([np.diag([9.0, 9, 1])])
+    assert gs.render(plain, pose, lens, 8, 8).shape == (1, 8, 8, 3)
 
 
 def test_a_notebook_shows_the_page_that_export_makes(splats: gs.Splats) -> None:

@@ -1,8 +1,8 @@
 """The command `genesplat`.
 
-Its body is the native module, so that `pip install` from sources needs nothing else, and exit status, streams
-and signals are those of the program: Python's own handler of Ctrl-C is taken away, since it would wait for the
-command to end, and the status is passed on as it is.
+Its body is the native module, so that a wheel holds one library and no second program, and an installation from
+sources needs nothing else. Exit status, streams and signals are those of the program: Python's own handler of
+Ctrl-C is taken away, since it would wait for the command to end, and the status is passed on as it is.
 """
 
 from __future__ import annotations

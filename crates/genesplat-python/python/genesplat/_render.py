@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Optional
+from typing import TYPE_CHECKING, Any, Optional
 
 from genesplat._splats import Splats
-from genesplat._types import checked
+from genesplat._types import checked, on_host
 
 if TYPE_CHECKING:
-    from genesplat._types import ArrayLike, Float32
+    from genesplat._types import ArrayLike, Float32, Float64
 
 
 def render(
@@ -26,7 +26,8 @@ def render(
     Args:
         splats: What is drawn.
         viewmats: Camera from world ``[C, 4, 4]``, or ``[4, 4]`` for one camera; x right, y down, z forward.
-        Ks: Pinhole intrinsics in pixels ``[C, 3, 3]``, or ``[3, 3]``: ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``.
+        Ks: Pinhole intrinsics in pixels ``[C, 3, 3]``, or ``[3, 3]``:
+            ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``.
         width: Of the pictures, pixels.
         height: Of the pictures, pixels.
         background: RGB behind the splats, 0 to 1.
@@ -41,10 +42,7 @@ def render(
         ValueError: A shape or a matrix cannot be.
         Error: The device cannot be used.
     """
-    import numpy as np
-
-    poses = checked("viewmats", np.reshape(viewmats, (-1, *np.shape(viewmats)[-2:])), (None, 4, 4), "float64")
-    lenses = checked("Ks", np.reshape(Ks, (-1, *np.shape(Ks)[-2:])), (None, 3, 3), "float64")
+    poses, lenses = _matrices("viewmats", viewmats, 4), _matrices("Ks", Ks, 3)
     if len(poses) != len(lenses):
         raise ValueError(f"there are {len(poses)} viewmats and {len(lenses)} Ks; give one each for a camera")
     if width < 1 or height < 1:
@@ -55,3 +53,14 @@ def render(
     cloud = splats._cloud()
     red, green, blue = background
     return cloud.render(poses, lenses, (width, height), near_plane, (red, green, blue), degree, device)
+
+
+def _matrices(name: str, values: Any, side: int) -> Float64:
+    """`[C, side, side]` of many matrices, or of one."""
+    import numpy as np
+
+    values = on_host(values)
+    if np.ndim(values) == 2:
+        values = np.asarray(values)[None]
+    found: Float64 = checked(name, values, (None, side, side), "float64")
+    return found

@@ -128,15 +128,23 @@ class Scene:
         Raises:
             Error: As `Scene.load`.
         """
-        place = tempfile.mkdtemp(prefix="genesplat-") if folder is None else os.fspath(folder)
+        photos = os.path.abspath(images)
+        if folder is not None:
+            return cls._of_model(reconstruction, os.fspath(folder), photos, options)
+        place = tempfile.mkdtemp(prefix="genesplat-")
         try:
-            model = os.path.join(place, "sparse", "0")
-            os.makedirs(model, exist_ok=True)
-            reconstruction.write(model)
-            return cls.load(place, images=os.path.abspath(images), **options)
+            # A scene is called as its folder is.
+            name = os.path.basename(os.path.dirname(photos)) or "scene"
+            return cls._of_model(reconstruction, os.path.join(place, name), photos, options)
         finally:
-            if folder is None:
-                shutil.rmtree(place, ignore_errors=True)
+            shutil.rmtree(place, ignore_errors=True)
+
+    @classmethod
+    def _of_model(cls, reconstruction: Any, folder: str, photos: str, options: dict[str, Any]) -> Scene:
+        model = os.path.join(folder, "sparse", "0")
+        os.makedirs(model, exist_ok=True)
+        reconstruction.write(model)
+        return cls.load(folder, images=photos, **options)
 
     @property
     def train(self) -> list[View]:

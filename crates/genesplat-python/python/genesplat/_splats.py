@@ -220,7 +220,7 @@ class Splats:
         return f"<Splats: {len(self):,} Gaussians, sh_degree {self.sh_degree}, {self.rasterize_mode}>"
 
     def to_html(self, title: str = "splats") -> str:
-        """The page that `genesplat export` makes: the splat and a viewer in one text, to open in a browser."""
+        """The page that `genesplat export` makes: the splat and a viewer in one text, for any browser."""
         return self._cloud().page(title)
 
     def _repr_html_(self) -> str:

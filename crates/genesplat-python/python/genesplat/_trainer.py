@@ -47,8 +47,8 @@ class Trainer:
     loop early, by ``break`` or by an exception, can iterate again: training goes on there, to the same bytes.
     With a folder `out`, it goes on in another process too (`Trainer.resume`), or with `genesplat train`.
 
-    A thread trains while a loop is under way, and none is left after it. Same seed, same bytes as the command,
-    on the CPU.
+    A thread trains while a loop is under way, and none is left after it. Same seed, same bytes as the
+    command, on the CPU.
     """
 
     def __init__(
@@ -115,6 +115,10 @@ class Trainer:
             raise ValueError(f"every is {every}, and has to be at least 1")
         self.scene = scene
         self.out = None if out is None else os.fspath(out)
+
+    def __repr__(self) -> str:
+        folder = "" if self.out is None else f", into {self.out!r}"
+        return f"<Trainer of {self.scene!r}{folder}>"
 
     def __iter__(self) -> Iterator[Step]:
         """Train, and yield every so many iterations.

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 StrPath = Union[str, "os.PathLike[str]"]
 
 
+def on_host(values: Any) -> Any:
+    """The same in main memory and without gradients, where it is a tensor of torch."""
+    return values.detach().cpu() if hasattr(values, "detach") else values
+
+
 def checked(name: str, values: Any, shape: tuple[Optional[int], ...], dtype: str = "float32") -> Any:
     """`values` as a C-contiguous array; `None` in `shape` stands for any length.
 
@@ -28,11 +33,8 @@ def checked(name: str, values: Any, shape: tuple[Optional[int], ...], dtype: str
     """
     import numpy as np
 
-    if hasattr(values, "detach"):
-        # A tensor of torch, on any device.
-        values = values.detach().cpu()
     try:
-        array = np.asarray(values, dtype=dtype, order="C")
+        array = np.asarray(on_host(values), dtype=dtype, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} is no array of numbers: {error}") from None
     fits = array.ndim == len(shape) and all(
