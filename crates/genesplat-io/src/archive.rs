@@ -14,7 +14,7 @@ use zip::result::ZipError;
 
 use crate::atomic;
 use crate::names::NameProblem;
-use crate::similar::{CONVERT, UNREAD, has_ending};
+use crate::similar::{UNREAD, convert, has_ending};
 use crate::{input, names, own, shown};
 
 /// Endings of all that scenes consist of.
@@ -46,9 +46,10 @@ pub enum ArchiveError {
     },
     /// All of its pictures are of formats that are not read.
     #[error(
-        "the archive {} holds no JPEG, PNG or WebP files, and others are not read ({}); {CONVERT}",
+        "the archive {} holds no JPEG, PNG or WebP files, and others are not read ({}); {}",
         shown(.archive),
-        shown(.first)
+        shown(.first),
+        convert(.first)
     )]
     Unread {
         /// The archive.

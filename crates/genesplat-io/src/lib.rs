@@ -37,5 +37,5 @@ pub use scene::{
     model_of, replace_photos, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
-pub use similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, ending, is_transforms};
+pub use similar::{PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, convert, ending, is_transforms};
 pub use visited::Visited;

@@ -17,7 +17,7 @@ use crate::error::SceneError;
 use crate::offset::Offset;
 use crate::photos::{Lens, PhotoError};
 use crate::scene::{Cube, Doubt, Point, mask_beside};
-use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
+use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending};
 use crate::{names, plural, shown};
 
 pub(crate) struct Listing {
@@ -373,7 +373,7 @@ pub(crate) fn all_missing(
             )
         }
         (_, _, Some(unread)) => {
-            format!(", which has pictures like {} that are not read; {CONVERT}", name(&unread))
+            format!(", which has pictures like {} that are not read; {}", name(&unread), convert(&unread))
         }
         _ => "; put the photos there".into(),
     };

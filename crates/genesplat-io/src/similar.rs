@@ -20,9 +20,23 @@ pub const VIDEO_ENDINGS: [&str; 15] = [
 pub const UNREAD: [&str; 11] =
     ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
 
-/// What to do with pictures that are not read.
-pub const CONVERT: &str = "convert them to JPEG, with `heif-convert` or any image program (phones that are set to \"most compatible\" take \
-                           JPEG themselves)";
+/// Those of the raw pictures of cameras.
+const RAW: [&str; 5] = ["dng", "cr2", "cr3", "nef", "arw"];
+const TIFF: [&str; 2] = ["tif", "tiff"];
+
+/// What to do with pictures that are not read, one of which is called `name`.
+pub fn convert(name: impl AsRef<Path>) -> &'static str {
+    match name.as_ref() {
+        name if has_ending(name, &RAW) => {
+            "develop them to JPEG, all with the same settings, with the program of the camera or any other for raw pictures"
+        }
+        name if has_ending(name, &TIFF) => "convert them to PNG or JPEG with any image program",
+        _ => {
+            "convert them to JPEG, with `heif-convert` or any image program (phones that are set to \"most compatible\" take \
+             JPEG themselves)"
+        }
+    }
+}
 
 /// What the name of a file ends in, in small letters: `jpg`.
 pub fn ending(path: &Path) -> String {

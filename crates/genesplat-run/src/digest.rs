@@ -7,12 +7,13 @@ use crate::inputs::Inputs;
 use crate::settings::Settings;
 
 /// What digests are of, in their order.
-pub(crate) const PARTS: [&str; 5] = [
+pub(crate) const PARTS: [&str; 6] = [
     "another version of genesplat",
     "other settings",
     "other cameras or points",
     "other photos",
     "photos of another exposure",
+    "another offset of coordinates",
 ];
 
 /// A digest of each of [`PARTS`], of what a run keeps to know its inputs again.
@@ -34,6 +35,7 @@ pub(crate) fn digests(
         let name = Digest::of(photo.name.as_bytes()).bytes();
         [&name[..], &[photo.held_out.into()], &photo.photo.bytes(), &mask].concat()
     };
+    let offset = scene.offset.into_iter().flatten().flat_map(f64::to_le_bytes).collect();
     let points = scene.points.map_or(Vec::new(), |points| points.bytes().to_vec());
     [
         env!("CARGO_PKG_VERSION").as_bytes().to_vec(),
@@ -41,6 +43,7 @@ pub(crate) fn digests(
         [of_photos(&camera), points].concat(),
         of_photos(&photo),
         gains.flat_map(f32::to_le_bytes).collect(),
+        offset,
     ]
     .map(|part| Digest::of(&part))
 }
@@ -85,6 +88,20 @@ mod tests {
             swap(&mut one.photo, &mut other.photo);
         };
         assert_eq!(changed(|_, gallery| exchange(gallery)), [3]);
+    }
+
+    /// Cameras and points may be the same once they are moved.
+    #[test]
+    fn ranks_whose_scenes_lie_elsewhere_are_told_apart() {
+        let settings = ConfigFile::of_scene("scene".into(), Default::default());
+        let settings = settings.resolve(Machine::default()).unwrap();
+        let of = |offset| {
+            let mut scene = small_scene::gallery().into_scene(HoldOut::EveryEighth);
+            scene.digests.offset = offset;
+            digests(&settings, &scene, None)
+        };
+        let (near, far) = (of(None), of(Some([500_000.0, 0.0, 0.0])));
+        assert!(near[..5] == far[..5] && near[5] != far[5] && far != of(Some([0.0, 500_000.0, 0.0])));
     }
 
     #[test]

@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
-use genesplat_io::{Format, PHOTO_ENDINGS, Scene, ending, is_transforms, shown};
+use anyhow::{Result, anyhow, bail};
+use genesplat_io::{Format, PHOTO_ENDINGS, Scene, ending, is_transforms, offset, shown};
 
 use crate::files::check_writable;
 use crate::session::is_part_of_run;
@@ -25,7 +25,20 @@ pub enum Content {
 /// be.
 pub fn check_file(path: &Path, content: Content, inputs: &[Option<&Path>]) -> Result<()> {
     check_writable(path)?;
+    check_offset_beside(path)?;
     check_existing(path, content, inputs)
+}
+
+/// What is read as the offset of the file must be one, whoever has written it.
+fn check_offset_beside(path: &Path) -> Result<()> {
+    offset::read_beside(path).map(drop).map_err(|error| {
+        anyhow!(
+            "{} is there already and holds no offset ({error}), and would be read as that of {}; move it away, or give the \
+             name of another file",
+            shown(offset::file_beside(path)),
+            shown(path)
+        )
+    })
 }
 
 /// The same of a file that is known to be writable.
@@ -166,5 +179,21 @@ mod tests {
         assert!(run.join(CONFIG).exists());
         let absent = place.path().join("scene/images/0002.jpg");
         assert!(check_file(&absent, Content::Picture, &[]).is_ok(), "nothing is there");
+    }
+
+    /// Whoever reads the splat would read the file beside it.
+    #[test]
+    fn a_file_that_would_be_taken_for_an_offset_stops_a_command_before_its_work() {
+        let place = tempfile::tempdir().unwrap();
+        let splat = place.path().join("new.ply");
+        let beside = offset::file_beside(&splat);
+        for (content, is_offset) in [("mine", false), (offset::to_json([5e5, 0.0, 0.0]).as_str(), true)] {
+            fs::write(&beside, content).unwrap();
+            let checked = check_file(&splat, Content::Splat, &[]).map_err(|error| error.to_string());
+            assert_eq!(checked.is_ok(), is_offset, "{checked:?}");
+            assert!(checked.is_ok() || checked.unwrap_err().contains("new.ply.offset.json is there already"));
+            assert_eq!(fs::read_to_string(&beside).unwrap(), content);
+        }
+        assert!(!splat.exists());
     }
 }

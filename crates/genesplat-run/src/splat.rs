@@ -1,5 +1,7 @@
 //! Finished splats, from a file or from the folder of a run.
 
+mod foreign;
+
 use std::fmt::Display;
 use std::io::Write;
 use std::num::NonZeroUsize;
@@ -219,6 +221,7 @@ pub fn open_unchecked(path: &Path) -> Result<Splat> {
 fn open_by(read: Read, path: &Path) -> Result<Splat> {
     let _preparing = preparing::begin();
     ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
+    foreign::check(path)?;
     if path.is_dir() { open_run(read, path) } else { open_file(read, path) }
 }
 

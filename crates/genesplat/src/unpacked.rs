@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::{self, Unpacked};
-use genesplat::io::{CONVERT, atomic, input, shown};
+use genesplat::io::{atomic, convert, input, shown};
 use genesplat::run::files::{remove_leftovers_below, write_own_json};
 use genesplat::run::lock::Lock;
 use genesplat::run::output;
@@ -62,6 +62,7 @@ fn is_empty(folder: &Path) -> bool {
 /// Pictures of formats that are not read are left out, and that is said.
 pub(crate) fn tell_of_unread(count: usize, first: &str) {
     output::tell(&format!(
-        "notice: {count} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; {CONVERT}"
+        "notice: {count} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; {}",
+        convert(first)
     ));
 }

@@ -4,10 +4,12 @@ use std::iter;
 use std::path::{Path, PathBuf};
 
 use crate::error::SceneError;
-use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, entries, has_ending};
+use crate::similar::{PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, convert, entries, has_ending};
 use crate::visited::Visited;
 use crate::{command_line, plural, shown};
 
+/// Endings of pictures that `poses` can read.
+const HEIC: [&str; 3] = ["heic", "heif", "hif"];
 const ARCHIVES: [&str; 5] = ["tar", "gz", "tgz", "7z", "rar"];
 
 /// What to do with a file that is no scene, and no video.
@@ -20,6 +22,13 @@ pub(super) fn file(path: &Path) -> Option<SceneError> {
         () if has_ending(path, &ARCHIVES) => "is an archive; unpack it, and give the folder that it holds",
         () if has_ending(path, &PHOTO_ENDINGS) || has_ending(path, &UNREAD) => {
             "is one photo; give the folder of a scene, with many photos and their cameras"
+        }
+        () if has_ending(path, &["ply", "splat", "spz", "sog", "glb"]) => {
+            "is one file, a splat or points; give the folder of a scene, with photos and their cameras (`genesplat refine` goes \
+             on with a splat)"
+        }
+        () if !has_ending(path, &VIDEO_ENDINGS) => {
+            "is a file; give the folder of a scene, with photos and their cameras"
         }
         () => {
             let poses = command_line(["genesplat", "poses", &shown(path)]);
@@ -78,17 +87,29 @@ pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
     let (own, mut visited) = (path.to_owned(), Visited::default());
     let folders = iter::once(own).chain(entries(path).filter(|entry| entry.is_dir()));
     let folders: Vec<PathBuf> = folders.filter(|folder| visited.is_new(folder)).collect();
-    let pictures = |endings: &[&str]| -> usize {
-        folders.iter().map(|folder| entries(folder).filter(|entry| has_ending(entry, endings)).count()).sum()
+    let pictures = |endings: &[&str]| -> Vec<PathBuf> {
+        folders.iter().flat_map(|folder| entries(folder)).filter(|entry| has_ending(entry, endings)).collect()
     };
-    match (pictures(&PHOTO_ENDINGS), pictures(&UNREAD)) {
-        (0, 0) => None,
-        (0, unread) => {
-            let what = format!("holds {unread} {}", plural(unread, "picture that is", "pictures that are"));
-            Some(SceneError::invalid(path, format!("{what} neither JPEG nor PNG nor WebP; {CONVERT}")))
-        }
+    let (photos, unread) = (pictures(&PHOTO_ENDINGS).len(), pictures(&UNREAD));
+    match (photos, unread.iter().min()) {
+        (0, None) => None,
+        (0, Some(first)) => Some(unread_alone(path, unread.len(), first)),
         (photos, _) => {
             no_cameras(format!("holds {photos} {} and no cameras", plural(photos, "photo", "photos")))
         }
     }
+}
+
+/// What to do with a folder of `count` pictures that are not read.
+fn unread_alone(path: &Path, count: usize, first: &Path) -> SceneError {
+    let what = plural(count, "picture that is", "pictures that are");
+    let poses = match has_ending(first, &HEIC) {
+        true => format!(
+            "; `{} --out SCENE` reads HEIC, where Python has pillow-heif, and finds their cameras",
+            command_line(["genesplat", "poses", &shown(path)])
+        ),
+        false => String::new(),
+    };
+    let problem = format!("holds {count} {what} neither JPEG nor PNG nor WebP; {}{poses}", convert(first));
+    SceneError::invalid(path, problem)
 }

@@ -13,6 +13,7 @@ use genesplat::run::{device, lpips, splat};
 use genesplat::terminal::output;
 use serde::Serialize;
 
+use super::another_scene::another_scene;
 use super::{evaluate_pictures, lpips_install, next};
 use crate::args::EvaluateArgs;
 
@@ -80,12 +81,16 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     }
     device::notice_no_card(args.machine.device().unwrap_or_default());
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
-    let gaussians = splat.cloud.len();
+    let (gaussians, is_own) = (splat.cloud.len(), splat.began_with(&scene));
     backend.upload(splat.cloud.into())?;
     let light = exposure.as_ref().map(Light::finished);
     let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), light)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_told(name, &found)))?;
+    let doubt = if is_own { None } else { another_scene(path, &scene.name, views, &found.scores)? };
+    doubt.iter().for_each(|doubt| {
+        output::tell(&format!("notice: {doubt}; give the --data that it was trained on"));
+    });
     args.json.write(&report(scene.name, (args.split, size, gaussians), found))?;
     if args.json.path.is_none() {
         next::after_splat(path);

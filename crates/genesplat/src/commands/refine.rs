@@ -7,7 +7,7 @@ use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter, View};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
-use genesplat::metrics::{Evaluation, psnr_of_mean};
+use genesplat::metrics::Evaluation;
 use genesplat::run::device::Device;
 use genesplat::run::exposure::Light;
 use genesplat::run::numbers::thousands;
@@ -25,12 +25,11 @@ use genesplat::train::{
 };
 use toml::Table;
 
+use super::another_scene::another_scene;
 use super::next;
 use crate::args::RefineArgs;
 
 const ITERATIONS: u32 = 2000;
-/// Photos that a splat is compared with before it is refined, at most.
-const VIEWS_COMPARED: usize = 16;
 
 /// Refines, and writes what came of it; Ctrl-C ends it early.
 pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
@@ -140,23 +139,12 @@ fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
     MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }
 }
 
-/// Fails where a splat shows most photos worse than the mean colour of each would: it is one of another scene,
-/// or in another frame. `scores` are those of all training photos.
+/// Fails where a splat is one of another scene, or in another frame. `scores` are those of all training photos.
 fn check_shows(scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
-    let every = scene.train.len().div_ceil(VIEWS_COMPARED).max(1);
-    let mut is_missed = Vec::new();
-    for (view, score) in scene.train.iter().zip(&scores.views).step_by(every) {
-        is_missed.push(score.psnr < psnr_of_mean(view.mask.as_deref(), view.photo.read()?.as_ref())?);
-    }
-    let (misses, all) = (is_missed.iter().filter(|missed| **missed).count(), is_missed.len());
-    ensure!(
-        2 * misses < all,
-        "{} shows {misses} of {all} photos of {} worse than one colour for each photo would, so it is a splat of another scene or in \
-         other axes; give the --data that it was trained on, or go on with --anyway",
-        shown(path),
-        shown(&scene.name)
-    );
-    Ok(())
+    let problem = another_scene(path, &scene.name, &scene.train, scores)?;
+    problem.map_or(Ok(()), |problem| {
+        bail!("{problem}; give the --data that it was trained on, or go on with --anyway")
+    })
 }
 
 /// Returns the scores of the training photos, which are at the exposure that training sees.

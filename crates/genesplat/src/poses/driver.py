@@ -1,7 +1,7 @@
 """Runs one stage of structure from motion with pycolmap. The only argument is a JSON object that says which.
 
 Standard output gets a JSON object a line: {"what": "matches", "done": 3, "total": 50} while a stage is under way. It ends when
-standard input does, since then whoever has started it is gone. Before this part come those with `pairs`, `matching` and `cameras`.
+standard input does, since then whoever has started it is gone. Before this part come those with `pairs`, `matching`, `cameras` and `turned`.
 """
 
 import contextlib
@@ -59,6 +59,7 @@ def extract_features():
     with progress("features", "num_images", job["photos"]):
         for names in job["sizes"] or [[]]:
             extract_features_of(names)
+    share_camera(job["database"], job["sizes"])
 
 
 def extract_features_of(names):
@@ -137,6 +138,7 @@ def finish_models():
         largest = largest_of(models)
         models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), mapping_options(job))
     for name, model in models.items():
+        model = models[name] = turned_back(model, turned_names(job["sizes"]), job["images"])
         turn_upright(model)
         model.write(os.path.join(job["models"], name))
     say(errors_px={name: model.compute_mean_reprojection_error() for name, model in models.items()})

@@ -23,6 +23,7 @@ const DRIVER: &str = concat!(
     include_str!("pairs.py"),
     include_str!("matching.py"),
     include_str!("cameras.py"),
+    include_str!("turned.py"),
     include_str!("driver.py")
 );
 /// How numpy is told of threads.

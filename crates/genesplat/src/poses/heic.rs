@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use genesplat::io::{plural, shown};
 use genesplat::run::files::write_own_json;
+use genesplat::run::output;
 use genesplat::run::output::Bar;
+use serde::Deserialize;
 
 use super::engine::Engine;
 use super::process;
@@ -40,9 +42,37 @@ pub(super) fn convert(
     write_own_json(work, LIST, &pairs)?;
     let mut bar = Bar::new("photos", pairs.len() as u64);
     command.arg(work.join(LIST));
-    process::run(&mut command, &work.join("heic.log"), stop, |line| {
+    let mut damaged: Vec<Damaged> = Vec::new();
+    let is_done = process::run(&mut command, &work.join("heic.log"), stop, |line| {
+        damaged.extend(serde_json::from_str::<Damaged>(line).ok());
         line.trim().parse().into_iter().for_each(|done| bar.set(done, String::new));
-    })
+    })?;
+    drop(bar);
+    tell_of(&damaged, pairs.len())?;
+    Ok(is_done)
+}
+
+/// A photo that no decoder takes for one.
+#[derive(Deserialize)]
+struct Damaged {
+    damaged: PathBuf,
+    why: String,
+}
+
+/// Fails where all are.
+fn tell_of(damaged: &[Damaged], all: usize) -> Result<()> {
+    let Some(Damaged { damaged: first, why }) = damaged.first() else { return Ok(()) };
+    let count = damaged.len();
+    let which = format!("cannot decode the photo {}: {}", shown(first), shown(why));
+    ensure!(
+        count < all,
+        "{count} of {all} HEIC photos are damaged; the first: {which}; copy them again, or leave them out"
+    );
+    output::tell(&format!(
+        "notice: {count} of {all} HEIC photos {} damaged and left out; the first: {which}",
+        plural(count, "is", "are")
+    ));
+    Ok(())
 }
 
 /// The Python that can do it, with the script.

@@ -76,7 +76,7 @@ pub fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
     }
     drop(preparing);
     let prepared = Engine::find(Programs::beside(request.photos))
-        .and_then(|engine| prepare(request, &source, &work, engine, stop));
+        .and_then(|engine| prepare(request, source, &work, engine, stop));
     if prepared.is_err() && is_new {
         photos::forget(request.out, &work);
     }
@@ -92,14 +92,14 @@ pub fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
 /// Puts the photos into the scene; `None` where `stop` has ended that.
 fn prepare(
     request: &Request,
-    source: &Source,
+    source: Source,
     work: &Path,
     engine: Engine,
     stop: &AtomicBool,
 ) -> Result<Option<(Engine, Vec<String>, Job)>> {
     let images = request.out.join(IMAGES);
     let Some(preparing) = preparing::begin_unless(stop) else { return Ok(None) };
-    source.check_photos()?;
+    let source = source.without_damaged()?;
     drop(preparing);
     source.make_folders_of_heic(request.out)?;
     if !heic::convert(&source.heic(&images), &engine, work, stop)? || !source.fill(&images, work, stop)? {

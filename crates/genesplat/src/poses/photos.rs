@@ -10,7 +10,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
 use genesplat::io::{
-    CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, input, mask_beside, names, own, shown,
+    PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, convert, input, mask_beside, names, own, plural, shown,
 };
 use genesplat::run::files::{make_own_folder, unwritable, write_own_json};
 use genesplat::run::{output, preparing};
@@ -111,10 +111,12 @@ impl Source {
         Ok(())
     }
 
-    /// Fails where a file of a folder is no photo, by the name that its owner knows.
-    pub(crate) fn check_photos(&self) -> Result<()> {
-        let Self::Folder(Photos { path, names, .. }) = self else { return Ok(()) };
-        Ok(names.par_iter().try_for_each(|name| photo_size(&path.join(name)).map(|_| ()))?)
+    /// The same without the photos of a folder that are damaged; fails where all are.
+    pub(crate) fn without_damaged(self) -> Result<Self> {
+        match self {
+            Self::Folder(photos) => photos.without_damaged().map(Self::Folder),
+            other => Ok(other),
+        }
     }
 
     fn record(&self) -> Result<Record> {
@@ -160,7 +162,7 @@ impl Source {
             Self::Archive { path } => {
                 let unpacked = work.join(UNPACKED);
                 unpacked::unpack(path, &unpacked)?;
-                photos_of(&unpacked)?.put(images).map(|()| true)
+                photos_of(&unpacked)?.without_damaged()?.put(images).map(|()| true)
             }
             Self::Video { path, frames } => {
                 // Ffmpeg is a process of its own, which is to end first.
@@ -207,8 +209,9 @@ fn photos_of(path: &Path) -> Result<Photos> {
             bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video")
         }
         (true, Some(first)) => bail!(
-            "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); {CONVERT}",
-            others.len()
+            "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); {}",
+            others.len(),
+            convert(first)
         ),
         (false, Some(first)) => unpacked::tell_of_unread(others.len(), first),
         (false, None) => {}
@@ -231,6 +234,33 @@ pub(crate) fn names_in(images: &Path) -> Result<Vec<String>> {
 }
 
 impl Photos {
+    /// What no decoder takes for a photo is told by the name that its owner knows.
+    fn without_damaged(mut self) -> Result<Self> {
+        let path = &self.path;
+        let damaged = self
+            .names
+            .par_iter()
+            .filter_map(|name| Some((name.clone(), photo_size(&path.join(name)).err()?)));
+        let mut damaged: Vec<_> = damaged.collect();
+        let count = damaged.len();
+        if count == 0 {
+            return Ok(self);
+        }
+        if count == self.names.len() && self.heic.is_empty() {
+            return Err(damaged.swap_remove(0).1.into());
+        }
+        output::tell(&format!(
+            "notice: {count} of {} photos {} damaged and left out; the first: {}",
+            self.names.len() + self.heic.len(),
+            plural(count, "is", "are"),
+            damaged[0].1
+        ));
+        let is_whole = |name: &String| damaged.binary_search_by(|(bad, _)| bad.cmp(name)).is_err();
+        self.names.retain(is_whole);
+        self.masks.retain(|(name, _)| is_whole(name));
+        Ok(self)
+    }
+
     /// Puts them into `images` in a form that COLMAP reads, upright, and their masks beside it.
     fn put(&self, images: &Path) -> Result<()> {
         self.tell_of_lying(images);

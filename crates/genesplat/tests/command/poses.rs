@@ -47,10 +47,12 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
     let (Some(python), Some(_)) = (python_with("pycolmap"), python_with("pillow_heif")) else { return };
     let Some(photos) = small_photos(folder.path()) else { return };
     to_heic(&python, &photos);
+    fs::write(photos.join("cut.HEIC"), "no photo").unwrap();
     let found = folder.path().join("scene");
     let arguments = ["poses", text(&photos), "--out", text(&found)];
     let first = with_python(&python, &arguments);
     assert!(first.status.success(), "{}", said(&first));
+    assert!(said(&first).contains("1 of 2 HEIC photos is damaged and left out"), "{}", said(&first));
     let summary = json(&found.join("poses/summary.json"));
     assert!(number(&summary["registered"]) >= 10.0, "{summary}");
     assert!(
@@ -180,6 +182,54 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
     assert!((0.75..1.33).contains(&(width / TURNTABLE_FOCAL_PX)), "{camera:?}");
 }
 
+fn turned_clockwise(photo: &Photo) -> Photo {
+    let (width, height) = (photo.width as usize, photo.height as usize);
+    let at = |x: usize, y: usize| photo.rgb[3 * (y * width + x)..][..3].to_vec();
+    // A row of the turned photo is a column of the other, from below.
+    let rgb =
+        (0..width).flat_map(|x| (0..height).rev().map(move |y| (x, y))).flat_map(|(x, y)| at(x, y)).collect();
+    Photo { width: photo.height, height: photo.width, rgb }
+}
+
+/// A phone that is held on its side now and then has one lens.
+#[test]
+fn photos_on_their_side_share_the_lens_of_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let Some(photos) = small_photos(folder.path()) else { return };
+    // How often each is turned.
+    let turns = [(1, 1), (4, 3), (7, 1), (10, 3)];
+    for (index, turns) in turns {
+        let file = photos.join(format!("{index:02}.png"));
+        let turned = (0..turns).fold(read_photo(&file).unwrap(), |photo, _| turned_clockwise(&photo));
+        write_png(&file, &turned).unwrap();
+    }
+    let found = folder.path().join("scene");
+    let output = with_python(&python, &["poses", text(&photos), "--out", text(&found)]);
+    assert!(output.status.success(), "{}", said(&output));
+    let model = read_model(&find_model(&found).unwrap()).unwrap();
+    let [a, b] = model.cameras.values().copied().collect::<Vec<_>>()[..] else { panic!("a size each") };
+    assert_eq!((a.focal_px, a.width, a.height), (b.focal_px, b.height, b.width), "one lens took them");
+    assert_eq!(model.images.len(), 12);
+    for image in &model.images {
+        let index: usize = image.name[..2].parse().unwrap();
+        let turns = turns.iter().find(|(turned, _)| *turned == index).map_or(0, |(_, turns)| *turns);
+        // Where the top of the photo is, of its own axes: its left side after three quarters.
+        let [w, x, y, z] = image.rotation;
+        let right = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)];
+        let up = match turns {
+            0 => -down(image.rotation)[1],
+            1 => right[1],
+            _ => -right[1],
+        };
+        assert!(up < -0.8, "{} was turned {turns} times, and has its top at {up}", image.name);
+        let camera = model.cameras[&image.camera];
+        assert_eq!(camera.width > camera.height, turns > 0, "{}", image.name);
+    }
+    let summary = json(&found.join("poses/summary.json"));
+    assert!(number(&summary["reprojection_error_px"]) < 1.0, "{summary}");
+}
+
 /// Stands for a Python with pycolmap: it finds the cameras that the gallery has, and does `before_matching`
 /// where others match.
 #[cfg(unix)]
@@ -252,10 +302,24 @@ fn photos_that_were_refused_may_be_corrected() {
     let cut = photos.join("gallery_005.png");
     let whole = fs::read(&cut).unwrap();
     fs::write(&cut, &whole[..20]).unwrap();
-    judge_failure(poses(), &["cannot decode the photo", "photos/gallery_005.png"]);
+    let without = poses();
+    let words = said(&without);
+    assert!(without.status.success() && words.contains("of 11 photos"), "{words}");
+    assert!(
+        words.contains("1 of 12 photos is damaged and left out") && words.contains("gallery_005.png"),
+        "{words}"
+    );
+    assert!(!out.join("images/gallery_005.png").exists());
     fs::write(&cut, &whole).unwrap();
+    fs::remove_dir_all(&out).unwrap();
     let found = poses();
     assert!(found.status.success() && said(&found).contains("of 12 photos"), "{}", said(&found));
+    for photo in fs::read_dir(&photos).unwrap() {
+        fs::write(photo.unwrap().path(), "no photo").unwrap();
+    }
+    let nothing =
+        with_python(&python, &["poses", text(&photos), "--out", text(&folder.path().join("nothing"))]);
+    judge_failure(nothing, &["cannot decode the photo"]);
 }
 
 /// COLMAP's matcher dies of a segmentation fault now and then.

@@ -448,7 +448,10 @@ pub(super) const MODELS: &[Mistake] = &[
     ),
     (|place| refines_another(place, &[]), Says(&["splat of another scene", "--anyway"])),
     (|place| refines_another(place, &["--anyway", "--iterations", "1"]), Works(&[])),
-    (|place| place.evaluates("scene"), Says(&["scene is not the folder of a run", "train"])),
+    (
+        |place| place.evaluates("scene"),
+        Says(&["scene is a scene, of which there is no splat yet", "genesplat train"]),
+    ),
     (|place| place.evaluates("scene/images/gallery_003.png"), Says(&["gallery_003.png is not a PLY"])),
     (
         |place| train(&place.at("scene"), &place.at("run"), &["--resume"]),
