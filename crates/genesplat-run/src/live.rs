@@ -1,17 +1,24 @@
 //! The live page, as the command opens it: what it shows, and where it is.
 
 use anyhow::Result;
-use genesplat_core::{CloudRenderer, Gaussians, RenderSettings};
+use genesplat_core::{CloudRenderer, Gaussians, RenderSettings, View};
 use genesplat_io::Scene;
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::{Address, LiveView, Phase, SceneViews};
 
 use crate::device::Device;
+use crate::exposure::{Exposure, Light};
 use crate::{output, take_along};
 
-/// Serves a page of a run on `scene`, and says where.
-pub fn of_training(address: &Address, scene: &Scene) -> Result<LiveView> {
-    open(address, SceneViews::new(&scene.name, &scene.train, &scene.test, None), true)
+/// Serves a page of a run on `scene`, and says where; where its training photos were brought to one
+/// `exposure`, all photos are shown at the mean, as renders are.
+pub fn of_training(address: &Address, scene: &Scene, exposure: Option<&Exposure>) -> Result<LiveView> {
+    let shown = |views: &[View], light: Option<Light<'_>>| -> Vec<View> {
+        views.iter().map(|view| light.map_or_else(|| view.clone(), |light| light.at_mean(view))).collect()
+    };
+    let light = exposure.map(Light::in_training);
+    let (train, test) = (shown(&scene.train, light.map(Light::brought)), shown(&scene.test, light));
+    open(address, SceneViews::new(&scene.name, &train, &test, None), true)
 }
 
 /// The same of a splat called `name` that is not trained here, with the name and the cameras of its scene
@@ -43,6 +50,8 @@ pub struct Showing {
     pub device: Device,
     /// How.
     pub settings: RenderSettings,
+    /// This many times as bright as the device holds it.
+    pub brightness: f32,
 }
 
 impl Showing {
@@ -55,6 +64,7 @@ impl Showing {
     /// Shows it, and makes the files that pages ask for.
     pub fn serve_until(&mut self, name: &str, scene: Option<&Scene>, is_over: impl FnMut(bool) -> bool) {
         let mut renderer = CloudRenderer::new(self.device.as_mut(), self.settings);
+        renderer.show_at(self.brightness);
         let name = scene.map_or(name, |scene| &scene.name);
         let mut make = |download, renderer: &mut CloudRenderer<'_>| {
             take_along::make(download, renderer, name, scene).map_err(|error| error.to_string())

@@ -82,7 +82,8 @@ impl Run<'_> {
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
             return Ok((Ended::NotBegun, None));
         }
-        let mut live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
+        let page = |address| live::of_training(address, self.scene, self.exposure);
+        let mut live = self.page.map(page).transpose()?;
         let load = self.began.elapsed().as_secs_f64();
         let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
         let start = checkpoint.map_or_else(
@@ -93,7 +94,13 @@ impl Run<'_> {
         let ended = ended.map_err(|error| failure::explain(error, session.path(), session.caller()))?;
         let settings = self.settings.schedule.render_settings();
         let live = live.filter(|_| matches!(ended, Ended::Whole(_)));
-        Ok((ended, live.map(|live| Showing { live, device, settings })))
+        let brightness = self.brightness();
+        Ok((ended, live.map(|live| Showing { live, device, settings, brightness })))
+    }
+
+    /// By what factor the mean exposure is brighter than the cloud under training.
+    fn brightness(&self) -> f32 {
+        self.exposure.map_or(1.0, Exposure::brightness)
     }
 
     fn check(&self, session: &mut RunSession) -> Result<Device> {
@@ -141,7 +148,7 @@ impl Run<'_> {
         let schedule = &settings.schedule;
         let curve = TestCurve::new(&scene.test, self.exposure, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
-        let brightness = self.exposure.map_or(1.0, |exposure| 1.0 / exposure.dark);
+        let brightness = self.brightness();
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked)
             .expecting(GrowthToCome::new(schedule, &scene.train));
         reporter.show_at(brightness);

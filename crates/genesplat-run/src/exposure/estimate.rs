@@ -10,6 +10,8 @@ const SAMPLES_MIN: usize = 20;
 const HALF_MIN: usize = 8;
 /// Fewest training photos that can be told apart.
 const PHOTOS_MIN: usize = 3;
+/// Parts of the logarithms of gains, of which the best is believed.
+const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// The gains of photos: by what factor each is brighter than the mean exposure, of 8-bit values.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,7 +21,8 @@ pub(super) struct Estimate {
     /// Standard deviation of the training photos' exposure, stops of light at a gamma of 2.2.
     pub(super) stops: f64,
     /// By what share of it the mean difference of a photo's half from the colours of points is smaller, with
-    /// the gain that its other half tells.
+    /// the gain that its other half tells, as far as gains are believed: of [`SHARES`], the one with which
+    /// it is least.
     pub(super) explained: f64,
     /// What lenses do to corners: [`fall_off`].
     pub(super) fall_off: f32,
@@ -29,8 +32,8 @@ pub(super) struct Estimate {
 struct Channel {
     /// Those of training photos and test photos.
     gains: [Vec<Option<f64>>; 2],
-    /// Sums of absolute differences, without gains and with them.
-    differences: [f64; 2],
+    /// Sums of absolute differences with [`SHARES`] of gains.
+    differences: [f64; SHARES.len()],
 }
 
 /// From the samples of each training photo and of each test photo; `None` where too little is shared.
@@ -44,19 +47,29 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
     let fall_off = fall_off::find(&train, shared.points.len());
     let [train, test] = [train, test].map(|photos| without(fall_off, photos));
     let channels = [0, 1, 2].map(|channel| of_channel(&train, &test, shared.points.len(), channel));
-    let gains = [&train, &test].map(|photos| photos.len());
-    let gains = [0, 1].map(|part| {
+    let counts = [train.len(), test.len()];
+    let (share, explained) = believed(&channels);
+    let stops = stops(&gains(&channels, 1.0, counts));
+    Some(Estimate { gains: gains(&channels, share, counts), stops, explained, fall_off })
+}
+
+/// Of so many photos, this share of what was found.
+fn gains(channels: &[Channel; 3], share: f64, counts: [usize; 2]) -> [Vec<Option<[f32; 3]>>; 2] {
+    [0, 1].map(|part| {
         let of = |photo: usize| {
-            let [r, g, b] = [0, 1, 2].map(|channel: usize| channels[channel].gains[part][photo]);
-            Some([r?, g?, b?].map(|log| log.exp() as f32))
+            let [r, g, b] = channels.each_ref().map(|channel| channel.gains[part][photo]);
+            Some([r?, g?, b?].map(|log| (share * log).exp() as f32))
         };
-        (0..gains[part]).map(of).collect()
-    });
-    let [before, after] =
-        [0, 1].map(|which: usize| channels.iter().map(|channel| channel.differences[which]).sum::<f64>());
-    let stops = stops(&gains);
-    let explained = if before > 0.0 { 1.0 - after / before } else { 0.0 };
-    Some(Estimate { gains, stops, explained, fall_off })
+        (0..counts[part]).map(of).collect()
+    })
+}
+
+/// The share with which halves of photos are most alike, and by how much of it differences are smaller then.
+fn believed(channels: &[Channel; 3]) -> (f64, f64) {
+    let sum = |at: usize| channels.iter().map(|channel| channel.differences[at]).sum::<f64>();
+    let best = (1..SHARES.len()).fold(0, |best, at| if sum(at) < sum(best) { at } else { best });
+    let explained = if sum(0) > 0.0 { 1.0 - sum(best) / sum(0) } else { 0.0 };
+    (SHARES[best], explained)
 }
 
 /// What a lens without this fall-off would have shown.
@@ -109,17 +122,19 @@ fn of_channel(train: &[Vec<Sample>], test: &[Vec<Sample>], points: usize, channe
         let of_half = samples.iter().filter(|sample| is_left.is_none_or(|left| left == sample.is_left));
         of_half.filter_map(|sample| Some(value(sample) - found.colours[sample.point as usize]?)).collect()
     };
-    let plain = colours(&seen, &vec![0.0; train.len()], points);
-    let mut sums = [0.0; 2];
+    let with = SHARES.map(|share| {
+        colours(&seen, &found.gains.iter().map(|gain| share * gain).collect::<Vec<_>>(), points)
+    });
+    let mut sums = [0.0; SHARES.len()];
     for samples in train {
         for is_left in [false, true] {
             let other = differences(samples, Some(!is_left));
             let Some(gain) = robust_mean(&other).filter(|_| other.len() >= HALF_MIN) else { continue };
             for sample in samples.iter().filter(|sample| sample.is_left == is_left) {
-                let at = sample.point as usize;
-                let [Some(plain), Some(colour)] = [plain[at], found.colours[at]] else { continue };
-                sums[0] += (value(sample) - plain).abs();
-                sums[1] += (value(sample) - colour - gain).abs();
+                for ((sum, share), colours) in sums.iter_mut().zip(SHARES).zip(&with) {
+                    let colour = colours[sample.point as usize];
+                    *sum += colour.map_or(0.0, |colour| (value(sample) - colour - share * gain).abs());
+                }
             }
         }
     }
@@ -192,7 +207,8 @@ mod tests {
     fn what_one_half_of_a_photo_says_must_hold_in_the_other() {
         let same = vec![[1.0; 3]; 12];
         assert!(estimate(&photos(&same, 0.0), &[]).unwrap().explained < 0.02);
-        assert!(estimate(&photos(&same, 0.2), &[]).unwrap().explained < 0.02);
+        let tilted = estimate(&photos(&same, 0.2), &[]).unwrap();
+        assert!(tilted.explained < 0.02 && tilted.gains[0].iter().all(|gain| *gain == Some([1.0; 3])));
     }
 
     #[test]

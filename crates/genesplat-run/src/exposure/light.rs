@@ -1,9 +1,13 @@
 //! Renders at the exposure of a photo.
 
 use std::borrow::Cow;
+use std::io;
+use std::sync::Arc;
 
 use anyhow::Result;
-use genesplat_core::{BackendError, Camera, Gaussians, Image, Photo, RenderSettings, Renderer, View};
+use genesplat_core::{
+    BackendError, Camera, Gaussians, Image, Photo, PhotoStore, RenderSettings, Renderer, StoredPhoto, View,
+};
 
 use super::Exposure;
 use super::fall_off::of_row;
@@ -43,6 +47,20 @@ impl<'a> Light<'a> {
     /// What brings a render to the mean exposure.
     pub(crate) fn mean(&self) -> Shade {
         Shade { factors: [1.0 / self.cloud; 3], fall_off: 0.0 }
+    }
+
+    /// The view with its photo at the mean exposure, as a page shows it beside renders. It is made when
+    /// somebody looks.
+    pub(crate) fn at_mean(&self, view: &View) -> View {
+        let shade = if self.is_brought {
+            Shade { factors: [1.0 / self.exposure.dark; 3], fall_off: 0.0 }
+        } else {
+            let factors = self.exposure.gain(&view.name).map(|gain| 1.0 / gain);
+            Shade { factors, fall_off: -self.exposure.fall_off }
+        };
+        let (width, height) = (view.photo.width(), view.photo.height());
+        let shaded = Shaded { photo: view.photo.clone(), camera: view.camera, shade };
+        View { photo: StoredPhoto::in_store(Arc::new(shaded), 0, width, height), ..view.clone() }
     }
 
     /// The view with its photo as it was taken.
@@ -100,6 +118,24 @@ impl Shade {
 /// An 8-bit value, multiplied.
 pub(super) fn times(value: u8, factor: f32) -> u8 {
     (f32::from(value) * factor).round().clamp(0.0, 255.0) as u8
+}
+
+/// A photo in a shade, for who looks at few.
+#[derive(Debug)]
+struct Shaded {
+    photo: StoredPhoto,
+    camera: Camera,
+    shade: Shade,
+}
+
+impl PhotoStore for Shaded {
+    fn read(&self, at: u64, out: &mut [u8]) -> io::Result<()> {
+        let photo = self.photo.read().map_err(io::Error::other)?;
+        let shaded = self.shade.of_photo(&photo, &self.camera);
+        let asked = shaded.rgb.get(at as usize..at as usize + out.len());
+        out.copy_from_slice(asked.ok_or(io::ErrorKind::UnexpectedEof)?);
+        Ok(())
+    }
 }
 
 /// Draws what another device draws, in a shade.

@@ -5,7 +5,8 @@
 //! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
 //! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
 //! have the mean 0, so no cast drifts in. What they explain is told by the halves of photos: how much more alike
-//! one half becomes by the gain that the other half tells.
+//! one half becomes by the gain that the other half tells. Of the logarithms, that share is believed with
+//! which halves are most alike, which may be none.
 //!
 //! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
 //!
@@ -24,7 +25,7 @@ mod samples;
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Result, anyhow};
 use genesplat_core::View;
 use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
@@ -43,6 +44,8 @@ const DARK_MIN: f32 = 0.4;
 pub enum Corrections {
     /// They are, by what shared points say.
     On,
+    /// They are where shared points say something that is worth it.
+    Auto,
     /// They are trained on as they are.
     #[default]
     Off,
@@ -53,6 +56,7 @@ impl Corrections {
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::On => "on",
+            Self::Auto => "auto",
             Self::Off => "off",
         }
     }
@@ -74,20 +78,42 @@ pub struct Exposure {
     pub fall_off: f32,
 }
 
+/// With `auto`, gains that explain less than this of what shared points differ by are not used.
+const WORTH: f32 = 0.05;
+
 /// The exposure of the photos of `scene`, which is shown on `background`, if they are to be brought to one,
 /// and says what they differ by.
 pub fn decide(scene: &Scene, asked: Corrections, background: [f32; 3]) -> Result<Option<Exposure>> {
     if asked == Corrections::Off {
         return Ok(None);
     }
-    let cannot =
-        |why: &str| anyhow!("photos cannot be brought to one exposure: {why}; leave out --corrections on");
-    ensure!(background == [0.0; 3], cannot("a white background has no exposure"));
-    let exposure = estimate(scene)?.ok_or_else(|| {
-        cannot("the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared")
-    })?;
-    output::tell(&exposure.sentence(scene));
-    Ok(Some(exposure))
+    match (told_by_points(scene, background)?, asked) {
+        (Ok(exposure), Corrections::Auto) if exposure.explained < WORTH => {
+            output::tell(&exposure.sentence_of_none());
+            Ok(None)
+        }
+        (Ok(exposure), _) => {
+            output::tell(&exposure.sentence(scene));
+            Ok(Some(exposure))
+        }
+        (Err(why), Corrections::Auto) => {
+            output::tell(&format!("photos keep their exposure: {why}"));
+            Ok(None)
+        }
+        (Err(why), _) => {
+            Err(anyhow!("photos cannot be brought to one exposure: {why}; leave out --corrections on"))
+        }
+    }
+}
+
+/// That, or why there is none.
+fn told_by_points(scene: &Scene, background: [f32; 3]) -> Result<Result<Exposure, &'static str>> {
+    if background != [0.0; 3] {
+        return Ok(Err("a white background has no exposure"));
+    }
+    Ok(estimate(scene)?.ok_or(
+        "the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared",
+    ))
 }
 
 /// What shared points say; `None` where they say nothing.
@@ -110,6 +136,11 @@ impl Exposure {
     /// The gains of the photo of this name.
     pub fn gain(&self, name: &str) -> [f32; 3] {
         self.photos.get(name).copied().unwrap_or([1.0; 3])
+    }
+
+    /// By what factor the mean exposure is brighter than a cloud under training.
+    pub fn brightness(&self) -> f32 {
+        1.0 / self.dark
     }
 
     /// Without the photos whose names `keeps` does not want.
@@ -150,6 +181,15 @@ impl Exposure {
         } else {
             String::new()
         }
+    }
+
+    /// What was found, and is not used.
+    fn sentence_of_none(&self) -> String {
+        let percent = (100.0 * self.explained).round().max(0.0);
+        format!(
+            "photos differ by {:.2} stops, and keep their exposure: one for all explains only {percent} % of what shared points differ by",
+            self.stops
+        )
     }
 
     /// What was found.

@@ -57,6 +57,25 @@ fn a_render_at_the_exposure_of_a_photo_is_what_the_photo_shows() {
     assert_eq!(image.planes, [0.2, 0.4, 0.3, 0.4, 0.25, 0.3]);
 }
 
+#[test]
+fn a_page_shows_all_photos_at_the_mean_exposure() {
+    let (mut scene, plain) = gallery(put);
+    let exposure = estimate(&scene).unwrap().unwrap();
+    exposure.bring(&mut scene, None).unwrap();
+    let light = Light::in_training(&exposure);
+    for (view, plain, light) in
+        [(&scene.train[4], &plain.train[4], light.brought()), (&scene.test[1], &plain.test[1], light)]
+    {
+        let [shown, plain] =
+            [light.at_mean(view), plain.clone()].map(|view| view.photo.read().unwrap().rgb.clone());
+        let middle = 3 * (30 * 60 + 30);
+        for (shown, plain) in shown.iter().zip(&plain).skip(middle).take(30) {
+            let ratio = f32::from(*shown) / f32::from(*plain).max(1.0);
+            assert!((0.85..1.15).contains(&ratio) || *plain < 20, "{}: {shown} {plain}", view.name);
+        }
+    }
+}
+
 fn view(name: &str, photo: Photo) -> View {
     let camera = Camera::at_origin(photo.width, photo.height, 1.0);
     View { name: name.into(), camera, photo: photo.into(), mask: None }
@@ -146,6 +165,10 @@ fn photos_of_one_exposure_hardly_change_and_nobody_is_forced() {
     let (scene, _) = gallery(|_| [1.0; 3]);
     assert!(decide(&scene, Corrections::On, BLACK).unwrap().is_some_and(|exposure| exposure.stops < 0.05));
     assert_eq!(decide(&scene, Corrections::Off, BLACK).unwrap(), None);
+    assert_eq!(decide(&scene, Corrections::Auto, BLACK).unwrap(), None, "nothing is worth bringing");
+    assert_eq!(decide(&scene, Corrections::Auto, [1.0; 3]).unwrap(), None);
+    let (damaged, _) = gallery(put);
+    assert!(decide(&damaged, Corrections::Auto, BLACK).unwrap().is_some());
 }
 
 #[test]

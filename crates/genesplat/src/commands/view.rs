@@ -37,7 +37,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     device.upload(splat.cloud.into())?;
     live.begin(&device.describe(), gaussians, 0);
     replay(path, &mut live);
-    let mut showing = Showing { live, device, settings };
+    let mut showing = Showing { live, device, settings, brightness: 1.0 };
     if let Some(followed) = &mut followed {
         output::tell(&format!("{} is not finished; the page shows what it has saved last", shown(path)));
         let until = |showing: &mut Showing, is_over: &dyn Fn() -> bool| {
