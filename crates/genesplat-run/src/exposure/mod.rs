@@ -8,6 +8,8 @@
 //! one half becomes by the gain that the other half tells. Of the logarithms, that share is believed with
 //! which halves are most alike, which may be none.
 //!
+//! A fourth number is their contrast, where that makes halves more alike: the power that a photo follows.
+//!
 //! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
 //!
 //! The photos that training sees are darker than the mean by one factor, [`Exposure::dark`], so that what the
@@ -17,6 +19,7 @@
 //! A test photo's gain comes from the points that it shares with training photos, and is put on its render:
 //! the photo itself is compared as it is.
 
+mod contrast;
 mod estimate;
 mod fall_off;
 mod fit;
@@ -37,6 +40,9 @@ use crate::output;
 
 /// Darkest that photos are made, so that 8 bits still tell their shades apart.
 const DARK_MIN: f32 = 0.4;
+
+/// The value, of 1, that contrast leaves as it is.
+const PIVOT: f32 = 0.35;
 
 /// Whether photos are brought to one exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,6 +78,10 @@ pub struct Exposure {
     /// By what factors red, green and blue of a photo are brighter than on average, by the names of views,
     /// test photos among them. One that is not there is taken as it is.
     pub photos: BTreeMap<String, [f32; 3]>,
+    /// The powers of what is seen at the mean exposure that photos follow, about [`PIVOT`]; 1 where none is
+    /// there.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub contrasts: BTreeMap<String, f32>,
     /// By what factor the photos that training sees are brighter than the mean exposure, at most 1.
     pub dark: f32,
     /// Logarithm of how bright corners are, where the middle is 1, in all photos; not above 0.
@@ -121,21 +131,48 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let [train, test] =
         [&scene.train, &scene.test].map(|views| samples::of_views(views, &scene.points, &scene.seen));
     let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
-    let [train, test] = found.gains;
-    let named = |(view, gain): (&View, Option<[f32; 3]>)| Some((view.name.clone(), gain?));
-    let dark = train.iter().flatten().flatten().copied().fold(1.0, f32::min);
-    // Corners are made brighter.
-    let dark = (dark * found.fall_off.exp()).max(DARK_MIN);
-    let fall_off = found.fall_off;
-    let photos = scene.train.iter().zip(train).chain(scene.test.iter().zip(test)).filter_map(named).collect();
-    let (stops, explained) = (found.stops as f32, found.explained as f32);
-    Ok(Some(Exposure { stops, explained, photos, dark, fall_off }))
+    let names = || scene.train.iter().chain(&scene.test).map(|view| view.name.clone());
+    let known = |(name, gain): (String, Option<[f32; 3]>)| Some((name, gain?));
+    let photos = names().zip(found.gains.into_iter().flatten()).filter_map(known).collect();
+    let contrasts = names().zip(found.contrasts.into_iter().flatten()).filter(|(_, power)| *power != 1.0);
+    let (stops, explained, contrasts) = (found.stops as f32, found.explained as f32, contrasts.collect());
+    let mut exposure = Exposure { stops, explained, photos, contrasts, dark: 1.0, fall_off: found.fall_off };
+    exposure.dark = exposure.darkness(&scene.train);
+    Ok(Some(exposure))
 }
 
 impl Exposure {
     /// The gains of the photo of this name.
     pub fn gain(&self, name: &str) -> [f32; 3] {
         self.photos.get(name).copied().unwrap_or([1.0; 3])
+    }
+
+    /// What makes of the mean exposure, `bright` times as bright as it is, what the photo of this name shows.
+    fn taking(&self, name: &str, bright: f32) -> Shade {
+        let contrast = self.contrast(name);
+        let factors = self.gain(name).map(|gain| gain * PIVOT.powf(1.0 - contrast) / bright.powf(contrast));
+        Shade { factors, contrast, fall_off: self.fall_off }
+    }
+
+    /// The reverse of [`Self::taking`].
+    fn bringing(&self, name: &str, bright: f32) -> Shade {
+        let taking = self.taking(name, 1.0);
+        let contrast = 1.0 / taking.contrast;
+        let factors = taking.factors.map(|factor| bright * factor.powf(-contrast));
+        Shade { factors, contrast, fall_off: -self.fall_off * contrast }
+    }
+
+    /// How bright the mean exposure may be so that nothing in photos of `views` is brighter than white.
+    fn darkness(&self, views: &[View]) -> f32 {
+        let brightest = |view: &View| {
+            let Shade { factors, fall_off, .. } = self.bringing(&view.name, 1.0);
+            factors.iter().fold(1.0, |most, factor| f32::max(most, *factor)) * fall_off.exp()
+        };
+        (1.0 / views.iter().map(brightest).fold(1.0, f32::max)).max(DARK_MIN)
+    }
+
+    fn contrast(&self, name: &str) -> f32 {
+        self.contrasts.get(name).copied().unwrap_or(1.0)
     }
 
     /// By what factor the mean exposure is brighter than a cloud under training.
@@ -145,8 +182,10 @@ impl Exposure {
 
     /// Without the photos whose names `keeps` does not want.
     pub(crate) fn only(&self, keeps: impl Fn(&str) -> bool) -> Self {
-        let photos = self.photos.iter().filter(|(name, _)| keeps(name));
-        Self { photos: photos.map(|(name, gain)| (name.clone(), *gain)).collect(), ..*self }
+        let mut only = self.clone();
+        only.photos.retain(|name, _| keeps(name));
+        only.contrasts.retain(|name, _| keeps(name));
+        only
     }
 
     /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill` says
@@ -156,8 +195,7 @@ impl Exposure {
             point.rgb = point.rgb.map(|value| light::times(value, self.dark));
         }
         let brought = |view: &View| {
-            let factors = self.gain(&view.name).map(|gain| self.dark / gain);
-            let shade = Shade { factors, fall_off: -self.fall_off };
+            let shade = self.bringing(&view.name, self.dark);
             Ok(shade.of_photo(&*view.photo.read()?, &view.camera))
         };
         Ok(replace_photos(&mut scene.train, spill, brought)?)
