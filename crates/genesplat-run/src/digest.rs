@@ -24,7 +24,8 @@ pub(crate) fn digests(
 ) -> [Digest; PARTS.len()] {
     let Inputs { settings: of_result, scene, exposure, .. } = Inputs::of(settings, scene, exposure);
     let gains = exposure.into_iter().flat_map(|exposure| {
-        exposure.photos.into_values().flatten().chain([exposure.dark, exposure.fall_off])
+        let of_photos = exposure.photos.into_values().flatten().chain(exposure.contrasts.into_values());
+        of_photos.chain([exposure.dark, exposure.fall_off])
     });
     let checkpoint_every = settings.schedule.config().checkpoint_every;
     let of_photos =
@@ -114,7 +115,14 @@ mod tests {
             digests(
                 &settings,
                 &scene,
-                Some(&Exposure { stops: 0.5, explained: 0.3, photos, dark: 0.8, fall_off: 0.0 }),
+                Some(&Exposure {
+                    stops: 0.5,
+                    explained: 0.3,
+                    photos,
+                    contrasts: [].into(),
+                    dark: 0.8,
+                    fall_off: 0.0,
+                }),
             )
         };
         let (one, other) = (of(1.1), of(1.2));

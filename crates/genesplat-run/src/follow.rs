@@ -9,6 +9,7 @@ use anyhow::Result;
 use genesplat_core::Gaussians;
 use genesplat_io::{Format, format};
 
+use crate::inputs::Inputs;
 use crate::session::{has_checkpoint, is_run, read_checkpoint};
 use crate::splat::{self, Splat};
 use crate::{CHECKPOINT, CLOUD, LOG};
@@ -76,9 +77,19 @@ impl Followed {
 
     fn read(&self, name: &str) -> Result<Gaussians> {
         match name {
-            CHECKPOINT => Ok(read_checkpoint(&self.folder, &|rows| 0..rows)?.state.cloud),
+            CHECKPOINT => self.of_checkpoint(),
             _ => Ok(splat::open(&self.folder.join(CLOUD))?.cloud),
         }
+    }
+
+    /// The cloud under training, at the mean exposure of photos.
+    fn of_checkpoint(&self) -> Result<Gaussians> {
+        let cloud = read_checkpoint(&self.folder, &|rows| 0..rows)?.state.cloud;
+        let exposure = Inputs::of_checkpoint(&self.folder)?.exposure;
+        Ok(match exposure {
+            Some(exposure) => cloud.at_brightness(exposure.brightness()),
+            None => cloud,
+        })
     }
 }
 

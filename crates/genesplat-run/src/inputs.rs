@@ -329,6 +329,7 @@ mod tests {
             explained: 0.351,
             photos: [("a.png".to_owned(), gain)].into(),
             dark: 0.7,
+            contrasts: [("a.jpg".to_owned(), 1.1)].into(),
             fall_off: -0.1,
         };
         for exposure in [None, Some(exposure)] {

@@ -1,18 +1,25 @@
 //! The live page, as the command opens it: what it shows, and where it is.
 
 use anyhow::Result;
-use genesplat_core::{CloudRenderer, Gaussians, RenderSettings};
+use genesplat_core::{CloudRenderer, Gaussians, RenderSettings, View};
 use genesplat_io::Scene;
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::{Address, Download, Keeper, LiveView, Phase, SceneViews};
 
 use crate::device::Device;
 use crate::edited::EditedFile;
+use crate::exposure::{Exposure, Light};
 use crate::{output, take_along};
 
-/// Serves a page of a run on `scene`, and says where.
-pub fn of_training(address: &Address, scene: &Scene) -> Result<LiveView> {
-    open(address, SceneViews::new(&scene.name, &scene.train, &scene.test, None), true)
+/// Serves a page of a run on `scene`, and says where; where its training photos were brought to one
+/// `exposure`, all photos are shown at the mean, as renders are.
+pub fn of_training(address: &Address, scene: &Scene, exposure: Option<&Exposure>) -> Result<LiveView> {
+    let shown = |views: &[View], light: Option<Light<'_>>| -> Vec<View> {
+        views.iter().map(|view| light.map_or_else(|| view.clone(), |light| light.at_mean(view))).collect()
+    };
+    let light = exposure.map(Light::in_training);
+    let (train, test) = (shown(&scene.train, light.map(Light::brought)), shown(&scene.test, light));
+    open(address, SceneViews::new(&scene.name, &train, &test, None), true)
 }
 
 /// The same of a splat called `name` that is not trained here, with the name and the cameras of its scene

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat_core::View;
+use genesplat_core::device::copy_of;
 use genesplat_io::{Scene, command_line, shown};
 use genesplat_metrics::{Evaluation, Lpips};
 use genesplat_train::scene::initialise::scene_extent;
@@ -85,7 +86,8 @@ impl Run<'_> {
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
             return Ok((Ended::NotBegun, None));
         }
-        let mut live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
+        let page = |address| live::of_training(address, self.scene, self.exposure);
+        let mut live = self.page.map(page).transpose()?;
         let load = self.began.elapsed().as_secs_f64();
         let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
         let start = checkpoint.map_or_else(
@@ -96,8 +98,25 @@ impl Run<'_> {
         let ended = ended.map_err(|error| failure::explain(error, session.path(), session.caller()))?;
         let settings = self.settings.schedule.render_settings();
         let live = live.filter(|_| matches!(ended, Ended::Whole(_)));
+        let Some(live) = live else { return Ok((ended, None)) };
+        self.brighten(&mut device)?;
         let edited = EditedFile::beside(session.path(), self.scene.digests.offset);
-        Ok((ended, live.map(|live| Showing { live, device, settings, edited })))
+        Ok((ended, Some(Showing { live, device, settings, edited })))
+    }
+
+    /// What pages look at and edit is at the mean exposure, as the file is.
+    fn brighten(&self, device: &mut Device) -> Result<()> {
+        let brightness = self.brightness();
+        if brightness != 1.0 {
+            let cloud = copy_of(device.as_mut())?.at_brightness(brightness);
+            device.upload(cloud.into())?;
+        }
+        Ok(())
+    }
+
+    /// By what factor the mean exposure is brighter than the cloud under training.
+    fn brightness(&self) -> f32 {
+        self.exposure.map_or(1.0, Exposure::brightness)
     }
 
     fn check(&self, session: &mut RunSession) -> Result<Device> {
@@ -145,7 +164,7 @@ impl Run<'_> {
         let schedule = &settings.schedule;
         let curve = TestCurve::new(&scene.test, self.exposure, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
-        let brightness = self.exposure.map_or(1.0, |exposure| 1.0 / exposure.dark);
+        let brightness = self.brightness();
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked)
             .expecting(GrowthToCome::new(schedule, &scene.train))
             .beside(self.companion);

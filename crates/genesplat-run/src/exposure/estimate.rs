@@ -1,8 +1,8 @@
 //! From samples to the gains of photos, and whether they are worth anything.
 
-use super::fall_off;
 use super::fit::{Seen, colours, fit, robust_mean};
 use super::samples::Sample;
+use super::{PIVOT, contrast, fall_off};
 
 /// Fewest samples that tell a photo's gain.
 const SAMPLES_MIN: usize = 20;
@@ -10,6 +10,8 @@ const SAMPLES_MIN: usize = 20;
 const HALF_MIN: usize = 8;
 /// Fewest training photos that can be told apart.
 const PHOTOS_MIN: usize = 3;
+/// Parts of the logarithms of gains, of which the best is believed.
+const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// The gains of photos: by what factor each is brighter than the mean exposure, of 8-bit values.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,18 +21,24 @@ pub(super) struct Estimate {
     /// Standard deviation of the training photos' exposure, stops of light at a gamma of 2.2.
     pub(super) stops: f64,
     /// By what share of it the mean difference of a photo's half from the colours of points is smaller, with
-    /// the gain that its other half tells.
+    /// the gain that its other half tells, as far as gains are believed: of [`SHARES`], the one with which
+    /// it is least.
     pub(super) explained: f64,
+    /// The powers of colours that photos follow: 1 for all where that explains no more.
+    pub(super) contrasts: [Vec<f32>; 2],
     /// What lenses do to corners: [`fall_off`].
     pub(super) fall_off: f32,
 }
+
+/// Contrasts are used where differences are smaller than this part of those without them.
+const PAYS: f64 = 0.99;
 
 /// One channel's logarithms.
 struct Channel {
     /// Those of training photos and test photos.
     gains: [Vec<Option<f64>>; 2],
-    /// Sums of absolute differences, without gains and with them.
-    differences: [f64; 2],
+    /// Sums of absolute differences with [`SHARES`] of gains.
+    differences: [f64; SHARES.len()],
 }
 
 /// From the samples of each training photo and of each test photo; `None` where too little is shared.
@@ -43,20 +51,51 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
     }
     let fall_off = fall_off::find(&train, shared.points.len());
     let [train, test] = [train, test].map(|photos| without(fall_off, photos));
-    let channels = [0, 1, 2].map(|channel| of_channel(&train, &test, shared.points.len(), channel));
-    let gains = [&train, &test].map(|photos| photos.len());
-    let gains = [0, 1].map(|part| {
-        let of = |photo: usize| {
-            let [r, g, b] = [0, 1, 2].map(|channel: usize| channels[channel].gains[part][photo]);
-            Some([r?, g?, b?].map(|log| log.exp() as f32))
-        };
-        (0..gains[part]).map(of).collect()
+    let points = shared.points.len();
+    let of = |train: &[Vec<Sample>], test: &[Vec<Sample>]| {
+        [0, 1, 2].map(|channel| of_channel(train, test, points, channel))
+    };
+    let found = contrast::find(&train, &test, points);
+    let [plain, flat] =
+        [of(&train, &test), of(&contrast::without(&found[0], &train), &contrast::without(&found[1], &test))];
+    let [with_plain, with_flat] = [&plain, &flat].map(believed);
+    let before = sum(&plain, 0);
+    let pays = with_flat.1 < PAYS * with_plain.1;
+    let (channels, (share, after)) = if pays { (flat, with_flat) } else { (plain, with_plain) };
+    let contrasts = found.map(|contrasts| {
+        contrasts
+            .iter()
+            .map(|found| if pays { 1.0 + share * (found - 1.0) } else { 1.0 })
+            .collect::<Vec<f64>>()
     });
-    let [before, after] =
-        [0, 1].map(|which: usize| channels.iter().map(|channel| channel.differences[which]).sum::<f64>());
-    let stops = stops(&gains);
     let explained = if before > 0.0 { 1.0 - after / before } else { 0.0 };
-    Some(Estimate { gains, stops, explained, fall_off })
+    let stops = stops(&gains(&channels, 1.0, &contrasts));
+    let gains = gains(&channels, share, &contrasts);
+    let contrasts = contrasts.map(|of| of.iter().map(|contrast| *contrast as f32).collect());
+    Some(Estimate { gains, stops, explained, contrasts, fall_off })
+}
+
+/// At [`PIVOT`], of photos with these contrasts: this share of what was found.
+fn gains(channels: &[Channel; 3], share: f64, contrasts: &[Vec<f64>; 2]) -> [Vec<Option<[f32; 3]>>; 2] {
+    [0, 1].map(|part| {
+        let of = |(photo, contrast): (usize, &f64)| {
+            let [r, g, b] = channels.each_ref().map(|channel| channel.gains[part][photo]);
+            let log = |log: f64| contrast * share * log + (contrast - 1.0) * f64::from(PIVOT).ln();
+            Some([r?, g?, b?].map(|found| log(found).exp() as f32))
+        };
+        contrasts[part].iter().enumerate().map(of).collect()
+    })
+}
+
+fn sum(channels: &[Channel; 3], at: usize) -> f64 {
+    channels.iter().map(|channel| channel.differences[at]).sum()
+}
+
+/// The share with which halves of photos are most alike, and what their differences are then.
+fn believed(channels: &[Channel; 3]) -> (f64, f64) {
+    let best =
+        (1..SHARES.len()).fold(0, |best, at| if sum(channels, at) < sum(channels, best) { at } else { best });
+    (SHARES[best], sum(channels, best))
 }
 
 /// What a lens without this fall-off would have shown.
@@ -109,17 +148,19 @@ fn of_channel(train: &[Vec<Sample>], test: &[Vec<Sample>], points: usize, channe
         let of_half = samples.iter().filter(|sample| is_left.is_none_or(|left| left == sample.is_left));
         of_half.filter_map(|sample| Some(value(sample) - found.colours[sample.point as usize]?)).collect()
     };
-    let plain = colours(&seen, &vec![0.0; train.len()], points);
-    let mut sums = [0.0; 2];
+    let with = SHARES.map(|share| {
+        colours(&seen, &found.gains.iter().map(|gain| share * gain).collect::<Vec<_>>(), points)
+    });
+    let mut sums = [0.0; SHARES.len()];
     for samples in train {
         for is_left in [false, true] {
             let other = differences(samples, Some(!is_left));
             let Some(gain) = robust_mean(&other).filter(|_| other.len() >= HALF_MIN) else { continue };
             for sample in samples.iter().filter(|sample| sample.is_left == is_left) {
-                let at = sample.point as usize;
-                let [Some(plain), Some(colour)] = [plain[at], found.colours[at]] else { continue };
-                sums[0] += (value(sample) - plain).abs();
-                sums[1] += (value(sample) - colour - gain).abs();
+                for ((sum, share), colours) in sums.iter_mut().zip(SHARES).zip(&with) {
+                    let colour = colours[sample.point as usize];
+                    *sum += colour.map_or(0.0, |colour| (value(sample) - colour - share * gain).abs());
+                }
             }
         }
     }
@@ -192,7 +233,10 @@ mod tests {
     fn what_one_half_of_a_photo_says_must_hold_in_the_other() {
         let same = vec![[1.0; 3]; 12];
         assert!(estimate(&photos(&same, 0.0), &[]).unwrap().explained < 0.02);
-        assert!(estimate(&photos(&same, 0.2), &[]).unwrap().explained < 0.02);
+        let tilted = estimate(&photos(&same, 0.2), &[]).unwrap();
+        assert!(tilted.explained < 0.02, "{}", tilted.explained);
+        let gains = tilted.gains[0].iter().flatten().flatten();
+        assert!(gains.copied().all(|gain| (gain - 1.0).abs() < 0.005), "{:?}", tilted.gains[0]);
     }
 
     #[test]

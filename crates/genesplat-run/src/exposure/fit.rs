@@ -78,14 +78,14 @@ pub(super) fn robust_mean(values: &[f64]) -> Option<f64> {
     Some(mean)
 }
 
-fn median(values: &[f64]) -> Option<f64> {
+pub(super) fn median(values: &[f64]) -> Option<f64> {
     let mut values = values.to_vec();
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// 1 for what is as near as most, less for what is farther.
-fn huber_weights(errors: &[f64]) -> Vec<f64> {
+pub(super) fn huber_weights(errors: &[f64]) -> Vec<f64> {
     let sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
     let near = HUBER * (MAD_SIGMA * median(&sizes).unwrap_or(0.0)).max(SCALE_MIN);
     sizes.iter().map(|size| if *size <= near { 1.0 } else { near / size }).collect()

@@ -1,9 +1,13 @@
 //! Renders at the exposure of a photo.
 
 use std::borrow::Cow;
+use std::io;
+use std::sync::Arc;
 
 use anyhow::Result;
-use genesplat_core::{BackendError, Camera, Gaussians, Image, Photo, RenderSettings, Renderer, View};
+use genesplat_core::{
+    BackendError, Camera, Gaussians, Image, Photo, PhotoStore, RenderSettings, Renderer, StoredPhoto, View,
+};
 
 use super::Exposure;
 use super::fall_off::of_row;
@@ -36,13 +40,25 @@ impl<'a> Light<'a> {
 
     /// What makes a render look as the photo of this name.
     pub fn of_photo(&self, name: &str) -> Shade {
-        let factors = self.exposure.gain(name).map(|gain| gain / self.cloud);
-        Shade { factors, fall_off: self.exposure.fall_off }
+        self.exposure.taking(name, self.cloud)
     }
 
     /// What brings a render to the mean exposure.
     pub(crate) fn mean(&self) -> Shade {
-        Shade { factors: [1.0 / self.cloud; 3], fall_off: 0.0 }
+        Shade { factors: [1.0 / self.cloud; 3], ..Shade::NONE }
+    }
+
+    /// The view with its photo at the mean exposure, as a page shows it beside renders. It is made when
+    /// somebody looks.
+    pub(crate) fn at_mean(&self, view: &View) -> View {
+        let shade = if self.is_brought {
+            Shade { factors: [self.exposure.brightness(); 3], ..Shade::NONE }
+        } else {
+            self.exposure.bringing(&view.name, 1.0)
+        };
+        let (width, height) = (view.photo.width(), view.photo.height());
+        let shaded = Shaded { photo: view.photo.clone(), camera: view.camera, shade };
+        View { photo: StoredPhoto::in_store(Arc::new(shaded), 0, width, height), ..view.clone() }
     }
 
     /// The view with its photo as it was taken.
@@ -50,27 +66,31 @@ impl<'a> Light<'a> {
         if !self.is_brought {
             return Ok(view.clone());
         }
-        let factors = self.exposure.gain(&view.name).map(|gain| gain / self.exposure.dark);
-        let shade = Shade { factors, fall_off: self.exposure.fall_off };
+        let shade = self.exposure.taking(&view.name, self.exposure.dark);
         Ok(View { photo: shade.of_photo(&*view.photo.read()?, &view.camera).into(), ..view.clone() })
     }
 }
 
-/// What pixels are multiplied by.
+/// What pixels are multiplied by, after they were raised to a power.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shade {
     /// Of red, green and blue.
     pub(crate) factors: [f32; 3],
+    /// The power, where white is 1.
+    pub(crate) contrast: f32,
     /// [`Exposure::fall_off`]
     pub(crate) fall_off: f32,
 }
 
 impl Shade {
     /// Changes nothing.
-    pub(crate) const NONE: Self = Self { factors: [1.0; 3], fall_off: 0.0 };
+    pub(crate) const NONE: Self = Self { factors: [1.0; 3], contrast: 1.0, fall_off: 0.0 };
 
     /// Changes what `camera` sees.
     pub fn put_on(&self, image: &mut Image, camera: &Camera) {
+        if self.contrast != 1.0 {
+            image.planes.iter_mut().for_each(|value| *value = value.max(0.0).powf(self.contrast));
+        }
         image.scale(self.factors);
         if self.fall_off == 0.0 {
             return;
@@ -84,11 +104,14 @@ impl Shade {
 
     /// The photo of `camera` with its pixels changed.
     pub(crate) fn of_photo(&self, photo: &Photo, camera: &Camera) -> Photo {
+        let raised: Vec<f32> =
+            (0..=255u8).map(|value| 255.0 * (f32::from(value) / 255.0).powf(self.contrast)).collect();
         let row = |(y, values): (usize, &[u8])| {
             let along = of_row(self.fall_off, camera, y);
             let pixels = values.as_chunks::<3>().0.iter().zip(along);
             let pixel = |(rgb, along): (&[u8; 3], f32)| {
-                [0, 1, 2].map(|channel| times(rgb[channel], along * self.factors[channel]))
+                [0, 1, 2]
+                    .map(|channel| rounded(raised[usize::from(rgb[channel])] * along * self.factors[channel]))
             };
             pixels.flat_map(pixel).collect::<Vec<u8>>()
         };
@@ -99,7 +122,29 @@ impl Shade {
 
 /// An 8-bit value, multiplied.
 pub(super) fn times(value: u8, factor: f32) -> u8 {
-    (f32::from(value) * factor).round().clamp(0.0, 255.0) as u8
+    rounded(f32::from(value) * factor)
+}
+
+fn rounded(value: f32) -> u8 {
+    value.round().clamp(0.0, 255.0) as u8
+}
+
+/// A photo in a shade, for who looks at few.
+#[derive(Debug)]
+struct Shaded {
+    photo: StoredPhoto,
+    camera: Camera,
+    shade: Shade,
+}
+
+impl PhotoStore for Shaded {
+    fn read(&self, at: u64, out: &mut [u8]) -> io::Result<()> {
+        let photo = self.photo.read().map_err(io::Error::other)?;
+        let shaded = self.shade.of_photo(&photo, &self.camera);
+        let asked = shaded.rgb.get(at as usize..at as usize + out.len());
+        out.copy_from_slice(asked.ok_or(io::ErrorKind::UnexpectedEof)?);
+        Ok(())
+    }
 }
 
 /// Draws what another device draws, in a shade.

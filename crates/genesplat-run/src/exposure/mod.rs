@@ -5,7 +5,10 @@
 //! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
 //! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
 //! have the mean 0, so no cast drifts in. What they explain is told by the halves of photos: how much more alike
-//! one half becomes by the gain that the other half tells.
+//! one half becomes by the gain that the other half tells. Of the logarithms, that share is believed with
+//! which halves are most alike, which may be none.
+//!
+//! A fourth number is their contrast, where that makes halves more alike: the power that a photo follows.
 //!
 //! Beside, there is one number for all photos: how much darker their corners are (`fall_off`).
 //!
@@ -16,6 +19,7 @@
 //! A test photo's gain comes from the points that it shares with training photos, and is put on its render:
 //! the photo itself is compared as it is.
 
+mod contrast;
 mod estimate;
 mod fall_off;
 mod fit;
@@ -24,7 +28,7 @@ mod samples;
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Result, anyhow};
 use genesplat_core::View;
 use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
@@ -37,12 +41,17 @@ use crate::output;
 /// Darkest that photos are made, so that 8 bits still tell their shades apart.
 const DARK_MIN: f32 = 0.4;
 
+/// The value, of 1, that contrast leaves as it is.
+const PIVOT: f32 = 0.35;
+
 /// Whether photos are brought to one exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Corrections {
     /// They are, by what shared points say.
     On,
+    /// They are where shared points say something that is worth it.
+    Auto,
     /// They are trained on as they are.
     #[default]
     Off,
@@ -53,6 +62,7 @@ impl Corrections {
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::On => "on",
+            Self::Auto => "auto",
             Self::Off => "off",
         }
     }
@@ -68,11 +78,18 @@ pub struct Exposure {
     /// By what factors red, green and blue of a photo are brighter than on average, by the names of views,
     /// test photos among them. One that is not there is taken as it is.
     pub photos: BTreeMap<String, [f32; 3]>,
+    /// The powers of what is seen at the mean exposure that photos follow, about [`PIVOT`]; 1 where none is
+    /// there.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub contrasts: BTreeMap<String, f32>,
     /// By what factor the photos that training sees are brighter than the mean exposure, at most 1.
     pub dark: f32,
     /// Logarithm of how bright corners are, where the middle is 1, in all photos; not above 0.
     pub fall_off: f32,
 }
+
+/// With `auto`, gains that explain less than this of what shared points differ by are not used.
+const WORTH: f32 = 0.05;
 
 /// The exposure of the photos of `scene`, which is shown on `background`, if they are to be brought to one,
 /// and says what they differ by.
@@ -80,14 +97,33 @@ pub fn decide(scene: &Scene, asked: Corrections, background: [f32; 3]) -> Result
     if asked == Corrections::Off {
         return Ok(None);
     }
-    let cannot =
-        |why: &str| anyhow!("photos cannot be brought to one exposure: {why}; leave out --corrections on");
-    ensure!(background == [0.0; 3], cannot("a white background has no exposure"));
-    let exposure = estimate(scene)?.ok_or_else(|| {
-        cannot("the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared")
-    })?;
-    output::tell(&exposure.sentence(scene));
-    Ok(Some(exposure))
+    match (told_by_points(scene, background)?, asked) {
+        (Ok(exposure), Corrections::Auto) if exposure.explained < WORTH => {
+            output::tell(&exposure.sentence_of_none());
+            Ok(None)
+        }
+        (Ok(exposure), _) => {
+            output::tell(&exposure.sentence(scene));
+            Ok(Some(exposure))
+        }
+        (Err(why), Corrections::Auto) => {
+            output::tell(&format!("photos keep their exposure: {why}"));
+            Ok(None)
+        }
+        (Err(why), _) => {
+            Err(anyhow!("photos cannot be brought to one exposure: {why}; leave out --corrections on"))
+        }
+    }
+}
+
+/// That, or why there is none.
+fn told_by_points(scene: &Scene, background: [f32; 3]) -> Result<Result<Exposure, &'static str>> {
+    if background != [0.0; 3] {
+        return Ok(Err("a white background has no exposure"));
+    }
+    Ok(estimate(scene)?.ok_or(
+        "the scene does not say which photos share which points (COLMAP's tracks do), or too few are shared",
+    ))
 }
 
 /// What shared points say; `None` where they say nothing.
@@ -95,15 +131,14 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let [train, test] =
         [&scene.train, &scene.test].map(|views| samples::of_views(views, &scene.points, &scene.seen));
     let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
-    let [train, test] = found.gains;
-    let named = |(view, gain): (&View, Option<[f32; 3]>)| Some((view.name.clone(), gain?));
-    let dark = train.iter().flatten().flatten().copied().fold(1.0, f32::min);
-    // Corners are made brighter.
-    let dark = (dark * found.fall_off.exp()).max(DARK_MIN);
-    let fall_off = found.fall_off;
-    let photos = scene.train.iter().zip(train).chain(scene.test.iter().zip(test)).filter_map(named).collect();
-    let (stops, explained) = (found.stops as f32, found.explained as f32);
-    Ok(Some(Exposure { stops, explained, photos, dark, fall_off }))
+    let names = || scene.train.iter().chain(&scene.test).map(|view| view.name.clone());
+    let known = |(name, gain): (String, Option<[f32; 3]>)| Some((name, gain?));
+    let photos = names().zip(found.gains.into_iter().flatten()).filter_map(known).collect();
+    let contrasts = names().zip(found.contrasts.into_iter().flatten()).filter(|(_, power)| *power != 1.0);
+    let (stops, explained, contrasts) = (found.stops as f32, found.explained as f32, contrasts.collect());
+    let mut exposure = Exposure { stops, explained, photos, contrasts, dark: 1.0, fall_off: found.fall_off };
+    exposure.dark = exposure.darkness(&scene.train);
+    Ok(Some(exposure))
 }
 
 impl Exposure {
@@ -112,10 +147,45 @@ impl Exposure {
         self.photos.get(name).copied().unwrap_or([1.0; 3])
     }
 
+    /// What makes of the mean exposure, `bright` times as bright as it is, what the photo of this name shows.
+    fn taking(&self, name: &str, bright: f32) -> Shade {
+        let contrast = self.contrast(name);
+        let factors = self.gain(name).map(|gain| gain * PIVOT.powf(1.0 - contrast) / bright.powf(contrast));
+        Shade { factors, contrast, fall_off: self.fall_off }
+    }
+
+    /// The reverse of [`Self::taking`].
+    fn bringing(&self, name: &str, bright: f32) -> Shade {
+        let taking = self.taking(name, 1.0);
+        let contrast = 1.0 / taking.contrast;
+        let factors = taking.factors.map(|factor| bright * factor.powf(-contrast));
+        Shade { factors, contrast, fall_off: -self.fall_off * contrast }
+    }
+
+    /// How bright the mean exposure may be so that nothing in photos of `views` is brighter than white.
+    fn darkness(&self, views: &[View]) -> f32 {
+        let brightest = |view: &View| {
+            let Shade { factors, fall_off, .. } = self.bringing(&view.name, 1.0);
+            factors.iter().fold(1.0, |most, factor| f32::max(most, *factor)) * fall_off.exp()
+        };
+        (1.0 / views.iter().map(brightest).fold(1.0, f32::max)).max(DARK_MIN)
+    }
+
+    fn contrast(&self, name: &str) -> f32 {
+        self.contrasts.get(name).copied().unwrap_or(1.0)
+    }
+
+    /// By what factor the mean exposure is brighter than a cloud under training.
+    pub fn brightness(&self) -> f32 {
+        1.0 / self.dark
+    }
+
     /// Without the photos whose names `keeps` does not want.
     pub(crate) fn only(&self, keeps: impl Fn(&str) -> bool) -> Self {
-        let photos = self.photos.iter().filter(|(name, _)| keeps(name));
-        Self { photos: photos.map(|(name, gain)| (name.clone(), *gain)).collect(), ..*self }
+        let mut only = self.clone();
+        only.photos.retain(|name, _| keeps(name));
+        only.contrasts.retain(|name, _| keeps(name));
+        only
     }
 
     /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill` says
@@ -125,8 +195,7 @@ impl Exposure {
             point.rgb = point.rgb.map(|value| light::times(value, self.dark));
         }
         let brought = |view: &View| {
-            let factors = self.gain(&view.name).map(|gain| self.dark / gain);
-            let shade = Shade { factors, fall_off: -self.fall_off };
+            let shade = self.bringing(&view.name, self.dark);
             Ok(shade.of_photo(&*view.photo.read()?, &view.camera))
         };
         Ok(replace_photos(&mut scene.train, spill, brought)?)
@@ -150,6 +219,15 @@ impl Exposure {
         } else {
             String::new()
         }
+    }
+
+    /// What was found, and is not used.
+    fn sentence_of_none(&self) -> String {
+        let percent = (100.0 * self.explained).round().max(0.0);
+        format!(
+            "photos differ by {:.2} stops, and keep their exposure: one for all explains only {percent} % of what shared points differ by",
+            self.stops
+        )
     }
 
     /// What was found.

@@ -15,13 +15,15 @@ fn photo(values: &[u8]) -> Photo {
 }
 
 const BLACK: [f32; 3] = [0.0; 3];
+static CAMERA: LazyLock<Camera> = LazyLock::new(|| Camera::at_origin(1, 1, 1.0));
 
 #[test]
 fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
     let values = [0, 50, 100, 200, 245, 250, 255];
     let gains = [("bright", [2.0, 1.0, 0.8]), ("dark", [0.5, 1.0, 1.25])];
     let photos = gains.map(|(name, gain)| (name.to_owned(), gain)).into();
-    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5, fall_off: 0.0 };
+    let exposure =
+        Exposure { stops: 1.0, explained: 1.0, photos, contrasts: BTreeMap::new(), dark: 0.5, fall_off: 0.0 };
     let mut scene = gallery(|_| [1.0; 3]).0;
     scene.train = gains.map(|(name, _)| view(name, photo(&values))).into();
     let points = scene.points.clone();
@@ -46,15 +48,77 @@ fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
 }
 
 #[test]
+fn photos_of_another_contrast_are_brought_and_go_back() {
+    let values = [20, 50, 100, 200, 255];
+    let photos = [("a".to_owned(), [1.2, 1.0, 0.6])].into();
+    let contrasts = [("a".to_owned(), 1.25)].into();
+    let mut exposure = Exposure { stops: 1.0, explained: 1.0, photos, contrasts, dark: 1.0, fall_off: 0.0 };
+    let mut scene = gallery(|_| [1.0; 3]).0;
+    scene.train = vec![view("a", photo(&values))];
+    exposure.dark = exposure.darkness(&scene.train);
+    assert!(exposure.dark < 0.95, "{}", exposure.dark);
+    exposure.bring(&mut scene, None).unwrap();
+    // What is as bright as the pivot differs by the gain alone.
+    let middle = f32::from(exposure.bringing("a", 1.0).of_photo(&photo(&[89]), &CAMERA).rgb[1]);
+    assert!((middle - 89.0).abs() <= 1.0, "{middle}");
+    let taken = Light::in_training(&exposure).brought().as_taken(&scene.train[0]).unwrap();
+    for (back, value) in taken.photo.read().unwrap().rgb.iter().zip(photo(&values).rgb) {
+        assert!(back.abs_diff(value) <= 2, "{back} {value}");
+    }
+    let mut image = Image { width: 1, height: 1, planes: vec![0.35; 3] };
+    Light::finished(&exposure).of_photo("a").put_on(&mut image, &CAMERA);
+    assert!(image.planes.iter().zip([0.42, 0.35, 0.21]).all(|(value, right)| (value - right).abs() < 1e-5));
+}
+
+#[test]
+fn contrasts_that_cameras_chose_are_found() {
+    let (plain, _) = gallery(put);
+    assert!(estimate(&plain).unwrap().unwrap().contrasts.is_empty(), "where there are none, none are");
+    let (mut scene, _) = gallery(put);
+    let power = |index: usize| 1.0 + 0.2 * (2.3 * index as f32).sin();
+    for (index, view) in scene.train.iter_mut().enumerate() {
+        let contrast = power(index);
+        let shade = Shade { factors: [0.35f32.powf(1.0 - contrast); 3], contrast, fall_off: 0.0 };
+        view.photo = shade.of_photo(&view.photo.read().unwrap(), &view.camera).into();
+    }
+    let exposure = estimate(&scene).unwrap().unwrap();
+    let usual = ((0..21).map(|index| power(index).ln()).sum::<f32>() / 21.0).exp();
+    for (index, view) in scene.train.iter().enumerate() {
+        let ratio = exposure.contrast(&view.name) / (power(index) / usual);
+        assert!((ratio - 1.0).abs() < 0.08, "{}: {ratio}", view.name);
+    }
+}
+
+#[test]
 fn a_render_at_the_exposure_of_a_photo_is_what_the_photo_shows() {
     let photos = [("a".to_owned(), [2.0, 1.0, 0.5])].into();
-    let exposure = Exposure { stops: 1.0, explained: 1.0, photos, dark: 0.5, fall_off: 0.0 };
+    let exposure =
+        Exposure { stops: 1.0, explained: 1.0, photos, contrasts: BTreeMap::new(), dark: 0.5, fall_off: 0.0 };
     let [training, finished] = [Light::in_training(&exposure), Light::finished(&exposure)];
     assert_eq!((training.of_photo("a").factors, training.mean().factors), ([4.0, 2.0, 1.0], [2.0; 3]));
     assert_eq!((finished.of_photo("a").factors, finished.of_photo("b").factors), ([2.0, 1.0, 0.5], [1.0; 3]));
     let mut image = Image { width: 2, height: 1, planes: vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6] };
     finished.of_photo("a").put_on(&mut image, &Camera::at_origin(2, 1, 1.0));
     assert_eq!(image.planes, [0.2, 0.4, 0.3, 0.4, 0.25, 0.3]);
+}
+
+#[test]
+fn a_page_shows_all_photos_at_the_mean_exposure() {
+    let (mut scene, plain) = gallery(put);
+    let exposure = estimate(&scene).unwrap().unwrap();
+    exposure.bring(&mut scene, None).unwrap();
+    let light = Light::in_training(&exposure);
+    for (view, plain, light) in
+        [(&scene.train[4], &plain.train[4], light.brought()), (&scene.test[1], &plain.test[1], light)]
+    {
+        let [shown, plain] =
+            [light.at_mean(view), plain.clone()].map(|view| view.photo.read().unwrap().rgb.clone());
+        let middle = 3 * (30 * 60 + 30);
+        for (shown, plain) in shown.iter().zip(&plain).skip(middle).take(30) {
+            let ratio = f32::from(*shown) / f32::from(*plain).max(1.0);
+            assert!((0.85..1.15).contains(&ratio) || *plain < 20, "{}: {shown} {plain}", view.name);
+        }
+    }
 }
 
 fn view(name: &str, photo: Photo) -> View {
@@ -69,7 +133,14 @@ fn the_sentence_says_what_was_found_and_what_is_done() {
     let mut scene = genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth);
     (scene.train, scene.test) = (vec![view("a"), view("b")], vec![view("c")]);
     let photos = [("a".to_owned(), [1.0; 3]), ("c".to_owned(), [1.0; 3])].into();
-    let exposure = Exposure { stops: 0.534, explained: 0.351, photos, dark: 0.7, fall_off: 0.0 };
+    let exposure = Exposure {
+        stops: 0.534,
+        explained: 0.351,
+        photos,
+        contrasts: BTreeMap::new(),
+        dark: 0.7,
+        fall_off: 0.0,
+    };
     assert_eq!(
         exposure.sentence(&scene),
         "photos differ by 0.53 stops, and are brought to one exposure, which explains 35 % of what shared points differ by; \
@@ -146,6 +217,10 @@ fn photos_of_one_exposure_hardly_change_and_nobody_is_forced() {
     let (scene, _) = gallery(|_| [1.0; 3]);
     assert!(decide(&scene, Corrections::On, BLACK).unwrap().is_some_and(|exposure| exposure.stops < 0.05));
     assert_eq!(decide(&scene, Corrections::Off, BLACK).unwrap(), None);
+    assert_eq!(decide(&scene, Corrections::Auto, BLACK).unwrap(), None, "nothing is worth bringing");
+    assert_eq!(decide(&scene, Corrections::Auto, [1.0; 3]).unwrap(), None);
+    let (damaged, _) = gallery(put);
+    assert!(decide(&damaged, Corrections::Auto, BLACK).unwrap().is_some());
 }
 
 #[test]
@@ -159,7 +234,7 @@ fn a_white_background_has_no_exposure() {
 fn corners_that_a_lens_shows_darker_come_back() {
     let (mut scene, _) = gallery(put);
     for view in &mut scene.train {
-        let shade = Shade { factors: [1.0; 3], fall_off: -0.25 };
+        let shade = Shade { fall_off: -0.25, ..Shade::NONE };
         view.photo = shade.of_photo(&view.photo.read().unwrap(), &view.camera).into();
     }
     let exposure = estimate(&scene).unwrap().unwrap();

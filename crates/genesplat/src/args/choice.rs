@@ -71,6 +71,7 @@ pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
 /// `--corrections`.
 pub(crate) const CORRECTIONS: &[Choice<Corrections>] = &[
     (Corrections::On, &["on"], "By what points that photos share say; an error where they say nothing"),
+    (Corrections::Auto, &["auto"], "The same where they say something that is worth it, else off"),
     (Corrections::Off, &["off"], "Photos are trained on as they are"),
 ];
 

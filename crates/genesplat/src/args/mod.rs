@@ -243,6 +243,10 @@ pub(crate) struct RenderArgs {
     /// Frames of the path, 2 to 10000 [default: 120]
     #[arg(long, value_name = "N", conflicts_with_all = ["image", "split"], value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub(crate) frames: Option<u32>,
+    /// At the exposure and white balance of each photo, with its darker corners, as a run with --corrections
+    /// found them [default: the mean of all]
+    #[arg(long, conflicts_with = "path")]
+    pub(crate) as_photo: bool,
     /// With --image the picture to write, a .png or a .jpg; with --split the folder for
     /// PNGs; with --path that, or a .mp4 or .gif, which ffmpeg makes if it is installed
     #[arg(long, value_name = "FILE|DIR")]

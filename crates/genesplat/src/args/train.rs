@@ -43,10 +43,9 @@ pub(crate) struct TrainArgs {
     pub(crate) search: SearchArgs,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
-    /// Whether photos are brought to one exposure and white balance before training, each by three numbers
-    /// that COLMAP's points tell [default: off]. Experimental: of three scenes two gained half a dB by it, and
-    /// one lost (docs/scenes.md). Renders then show the mean exposure, and test photos are
-    /// compared with renders at the photo's own
+    /// Whether photos are brought to one exposure, white balance and contrast before training, each by four
+    /// numbers that COLMAP's points tell [default: off]. Renders then show the mean exposure, and test photos
+    /// are compared with renders at the photo's own, as shared points say it (docs/scenes.md)
     #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS))]
     pub(crate) corrections: Option<Corrections>,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:

@@ -7,10 +7,12 @@ use std::sync::atomic::Ordering;
 use anyhow::{Result, anyhow, ensure};
 use genesplat::core::{Photo, View};
 use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, ending, photos, plural, shown};
+use genesplat::run::exposure::{Exposure, Light};
 use genesplat::run::files::check_folder;
 use genesplat::run::output::Bar;
 use genesplat::run::overwrite::{Content, check_file};
 use genesplat::run::photos::check_test_photos;
+use genesplat::run::splat::Splat;
 use genesplat::run::{device, files, overwrite, scene, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
@@ -57,6 +59,8 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let data = splat.scene_path(args.data.as_deref())?;
     let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;
+    let exposure = if args.as_photo { Some(own_exposure(args, &splat, &scene)?) } else { None };
+    let light = exposure.as_ref().map(Light::finished);
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
         let has_some = !scene.test.is_empty();
@@ -83,7 +87,11 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        place.write(&backend.render(&view.camera, &splat.settings)?.to_photo())?;
+        let mut image = backend.render(&view.camera, &splat.settings)?;
+        if let Some(light) = light {
+            light.of_photo(&view.name).put_on(&mut image, &view.camera);
+        }
+        place.write(&image.to_photo())?;
         done += 1;
         bar.set(done as u64, String::new);
     }
@@ -97,6 +105,16 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     let splat = shown(&args.splat.path);
     next::tell(&[(&["render", &splat, "--path", "orbit", "--out", "orbit.mp4"], "a film around it")]);
     Ok(Ending::Whole)
+}
+
+/// That of the photos, which `--as-photo` asks for.
+fn own_exposure(args: &RenderArgs, splat: &Splat, scene: &Scene) -> Result<Exposure> {
+    splat.exposure(scene, &args.splat.photos.asked()?).ok_or_else(|| {
+        anyhow!(
+            "{} does not say what exposure photos have, as the folder of a run with --corrections on does; leave out --as-photo",
+            shown(&args.splat.path)
+        )
+    })
 }
 
 fn is_jpeg(path: &Path) -> bool {

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use genesplat::core::Photo;
 use genesplat::gallery::{self, Gallery, GalleryOptions};
+#[cfg(unix)]
+use genesplat::run::{follow::Followed, splat};
 
 #[cfg(unix)]
 use crate::resume::signal;
@@ -14,12 +16,22 @@ use crate::support::{cloud, fail, json, number, run, scene, succeed, text, train
 
 /// A gallery whose photos were taken with these gains, with tracks.
 fn write_scene(folder: &Path, gain: impl Fn(usize) -> f32) {
+    write_damaged(folder, |index, _, _| gain(index));
+}
+
+/// The same with gains of a photo, a channel and a place between the middle, 0, and a corner, 1.
+fn write_damaged(folder: &Path, gain: impl Fn(usize, usize, f32) -> f32) {
     let options = GalleryOptions { width: 64, height: 48, views: 16, points: 400, seed: 5 };
     let mut gallery = gallery::generate(&options);
     for (index, view) in gallery.views.iter_mut().enumerate() {
         let photo = view.photo.read().unwrap();
-        let rgb = photo.rgb.iter().map(|value| (f32::from(*value) * gain(index)).round().min(255.0) as u8);
-        view.photo = Photo { rgb: rgb.collect(), ..*photo }.into();
+        let changed = |(place, value): (usize, &u8)| {
+            let (x, y) = ((place / 3 % 64) as f32 - 31.5, (place / 192) as f32 - 23.5);
+            let gain = gain(index, place % 3, (x * x + y * y) / 1600.0);
+            (f32::from(*value) * gain).round().min(255.0) as u8
+        };
+        let rgb = photo.rgb.iter().enumerate().map(changed).collect();
+        view.photo = Photo { rgb, ..*photo }.into();
     }
     gallery.write_colmap(folder).unwrap();
     fs::write(folder.join("sparse/0/points3D.bin"), points_with_tracks(&gallery)).unwrap();
@@ -80,6 +92,54 @@ fn photos_of_other_exposure_are_brought_to_one_and_every_figure_is_named() {
 }
 
 #[test]
+fn nine_tenths_of_known_damage_come_back_on_photos_without_any() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = ["plain", "damaged"].map(|name| folder.path().join(name));
+    write_scene(&scenes[0], |_| 1.0);
+    // Exposure, white balance and dark corners of training photos; test photos stay as they are.
+    write_damaged(&scenes[1], |index, channel, place| match index % 8 {
+        0 => 1.0,
+        _ => {
+            let white = 1.0 + 0.08 * ((index + 2 * channel) as f32).sin();
+            (1.0 + 0.3 * (1.7 * index as f32).sin()) * white * (-0.2 * place).exp()
+        }
+    });
+    // Raw: what was not damaged is as the mean exposure is.
+    let psnr = |scene: &Path, corrections: &str| {
+        let out = scene.with_extension(corrections);
+        succeed(train(scene, &out, &["--iterations", "500", "--corrections", corrections]));
+        let metrics = json(&out.join("metrics.json"));
+        let is_on = corrections == "on";
+        number(if is_on { &metrics["exposure"]["test_psnr_raw"] } else { &metrics["test"]["psnr"] })
+    };
+    let [plain, damaged, back] =
+        [(0, "off"), (1, "off"), (1, "on")].map(|(scene, corrections)| psnr(&scenes[scene], corrections));
+    assert!(plain > damaged + 3.0, "{plain} {damaged}");
+    assert!(back - damaged > 0.9 * (plain - damaged), "{plain} {damaged} {back}");
+}
+
+#[test]
+fn a_render_as_a_photo_has_its_exposure() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, run_folder, mean, own] =
+        ["scene", "run", "mean.png", "own.png"].map(|name| folder.path().join(name));
+    write_scene(&scene, damage);
+    succeed(train(&scene, &run_folder, &["--iterations", "60", "--corrections", "on"]));
+    // Taken with seven tenths of the light.
+    let render = |out: &Path, more: &[&str]| {
+        let words = ["render", text(&run_folder), "--image", "gallery_001.png", "--device", "cpu", "--out"];
+        succeed(words.into_iter().chain([text(out)]).chain(more.iter().copied()));
+        let picture = genesplat::io::photos::read_photo(out).unwrap();
+        picture.rgb.iter().map(|value| f64::from(*value)).sum::<f64>()
+    };
+    let ratio = render(&own, &["--as-photo"]) / render(&mean, &[]);
+    assert!((ratio - 0.7).abs() < 0.05, "{ratio}");
+    let cloud = run_folder.join("point_cloud.ply");
+    let words = ["render", text(&cloud), "--data", text(&scene), "--image", "gallery_001.png", "--as-photo"];
+    fail(words.into_iter().chain(["--out", text(&own)]), &["does not say what exposure", "--as-photo"]);
+}
+
+#[test]
 fn a_refined_splat_stays_at_the_mean_exposure() {
     let folder = tempfile::tempdir().unwrap();
     let [scene, run, refined] = ["scene", "run", "refined.ply"].map(|name| folder.path().join(name));
@@ -129,6 +189,11 @@ fn a_run_that_was_stopped_goes_on_at_the_exposure_that_it_began_with() {
     let mut stopped = command(train(&scene, &broken, &steps));
     let output = signal(&mut stopped, &broken, r#""event":"step""#, "-INT");
     assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
+    // Who looks at it meanwhile sees the mean exposure, though the checkpoint has that of training.
+    let saved = splat::open(&broken.join("point_cloud.ply")).unwrap().cloud;
+    fs::remove_file(broken.join("point_cloud.ply")).unwrap();
+    let shown = Followed::of(&broken).unwrap().open().unwrap().cloud;
+    assert!(shown.len() == saved.len() && (shown.sh[0][0] - saved.sh[0][0]).abs() < 1e-4);
     let other = [&steps[..4], &["--resume", "--corrections", "off"]].concat();
     fail(train(&scene, &broken, &other), &["dataset.corrections is on there and off here"]);
     succeed(train(&scene, &broken, &["--resume"]));
