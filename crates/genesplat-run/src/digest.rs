@@ -25,7 +25,7 @@ pub(crate) fn digests(
     let Inputs { settings: of_result, scene, exposure, .. } = Inputs::of(settings, scene, exposure);
     let gains = exposure.into_iter().flat_map(|exposure| {
         let of_photos = exposure.photos.into_values().flatten().chain(exposure.contrasts.into_values());
-        of_photos.chain([exposure.dark, exposure.fall_off])
+        of_photos.chain([exposure.dark, exposure.fall_off, exposure.plain_corners.len() as f32])
     });
     let checkpoint_every = settings.schedule.config().checkpoint_every;
     let of_photos =
@@ -122,6 +122,7 @@ mod tests {
                     contrasts: [].into(),
                     dark: 0.8,
                     fall_off: 0.0,
+                    plain_corners: [].into(),
                 }),
             )
         };

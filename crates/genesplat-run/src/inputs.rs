@@ -331,6 +331,7 @@ mod tests {
             dark: 0.7,
             contrasts: [("a.jpg".to_owned(), 1.1)].into(),
             fall_off: -0.1,
+            plain_corners: ["a.jpg".to_owned()].into(),
         };
         for exposure in [None, Some(exposure)] {
             let (settings, scene) = ("seed = 1".into(), digests());

@@ -28,6 +28,8 @@ pub(super) struct Estimate {
     pub(super) contrasts: [Vec<f32>; 2],
     /// What lenses do to corners: [`fall_off`].
     pub(super) fall_off: f32,
+    /// Which test photos have none.
+    pub(super) plain_corners: Vec<bool>,
 }
 
 /// Contrasts are used where differences are smaller than this part of those without them.
@@ -50,8 +52,13 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
         return None;
     }
     let fall_off = fall_off::find(&train, shared.points.len());
-    let [train, test] = [train, test].map(|photos| without(fall_off, photos));
     let points = shared.points.len();
+    let train = without(fall_off, train);
+    let plain_corners = fall_off::are_without(fall_off, &train, &test, points);
+    let as_lens = |(samples, is_plain): (Vec<Sample>, &bool)| {
+        without(if *is_plain { 0.0 } else { fall_off }, vec![samples]).remove(0)
+    };
+    let test: Vec<Vec<Sample>> = test.into_iter().zip(&plain_corners).map(as_lens).collect();
     let of = |train: &[Vec<Sample>], test: &[Vec<Sample>]| {
         [0, 1, 2].map(|channel| of_channel(train, test, points, channel))
     };
@@ -72,7 +79,7 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
     let stops = stops(&gains(&channels, 1.0, &contrasts));
     let gains = gains(&channels, share, &contrasts);
     let contrasts = contrasts.map(|of| of.iter().map(|contrast| *contrast as f32).collect());
-    Some(Estimate { gains, stops, explained, contrasts, fall_off })
+    Some(Estimate { gains, stops, explained, contrasts, fall_off, plain_corners })
 }
 
 /// At [`PIVOT`], of photos with these contrasts: this share of what was found.

@@ -5,7 +5,7 @@
 
 use genesplat_core::Camera;
 
-use super::fit::{Seen, fit};
+use super::fit::{Seen, fit, robust_mean};
 use super::samples::Sample;
 
 /// Times that gains and fall-off are found in turn.
@@ -61,6 +61,36 @@ pub(super) fn find(photos: &[Vec<Sample>], points: usize) -> f32 {
     }
     let is_some = fall_off < -LEAST;
     if is_some { fall_off.max(-MOST) as f32 } else { 0.0 }
+}
+
+/// A photo has other corners than the rest where its differences from points are smaller than this part of
+/// what they are with theirs.
+const OTHER: f64 = 0.97;
+
+/// Whether each of these photos, which training does not see, shows corners as bright as the middle, though
+/// the lens of training photos, whose samples are without it, has this fall-off.
+pub(super) fn are_without(
+    fall_off: f32,
+    train: &[Vec<Sample>],
+    test: &[Vec<Sample>],
+    points: usize,
+) -> Vec<bool> {
+    let mean = |sample: &Sample| sample.logs.iter().map(|log| f64::from(*log)).sum::<f64>() / 3.0;
+    let seen = |(photo, samples): (u32, &Vec<Sample>)| -> Vec<Seen> {
+        samples.iter().map(|at| Seen { photo, point: at.point, value: mean(at) }).collect()
+    };
+    let seen: Vec<Seen> = (0u32..).zip(train).flat_map(seen).collect();
+    let colours = fit(&seen, train.len(), points).colours;
+    let difference = |samples: &[Sample], fall_off: f32| -> f64 {
+        let of = |at: &Sample| {
+            let corner = f64::from(fall_off * at.radius_squared);
+            Some(mean(at) - corner - colours[at.point as usize]?)
+        };
+        let values: Vec<f64> = samples.iter().filter_map(of).collect();
+        let gain = robust_mean(&values).unwrap_or(0.0);
+        values.iter().map(|value| (value - gain).abs()).sum()
+    };
+    test.iter().map(|samples| difference(samples, 0.0) < OTHER * difference(samples, fall_off)).collect()
 }
 
 /// Values less the mean of their point, then less what is left of the mean of their photo.

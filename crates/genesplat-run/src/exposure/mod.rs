@@ -26,7 +26,7 @@ mod fit;
 mod light;
 mod samples;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, anyhow};
 use genesplat_core::View;
@@ -86,6 +86,9 @@ pub struct Exposure {
     pub dark: f32,
     /// Logarithm of how bright corners are, where the middle is 1, in all photos; not above 0.
     pub fall_off: f32,
+    /// Test photos that another lens has taken, without it.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub plain_corners: BTreeSet<String>,
 }
 
 /// With `auto`, gains that explain less than this of what shared points differ by are not used.
@@ -136,7 +139,10 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let photos = names().zip(found.gains.into_iter().flatten()).filter_map(known).collect();
     let contrasts = names().zip(found.contrasts.into_iter().flatten()).filter(|(_, power)| *power != 1.0);
     let (stops, explained, contrasts) = (found.stops as f32, found.explained as f32, contrasts.collect());
-    let mut exposure = Exposure { stops, explained, photos, contrasts, dark: 1.0, fall_off: found.fall_off };
+    let plain = scene.test.iter().zip(&found.plain_corners).filter(|(_, is_plain)| **is_plain);
+    let plain_corners = plain.map(|(view, _)| view.name.clone()).collect();
+    let fall_off = found.fall_off;
+    let mut exposure = Exposure { stops, explained, photos, contrasts, dark: 1.0, fall_off, plain_corners };
     exposure.dark = exposure.darkness(&scene.train);
     Ok(Some(exposure))
 }
@@ -151,7 +157,7 @@ impl Exposure {
     fn taking(&self, name: &str, bright: f32) -> Shade {
         let contrast = self.contrast(name);
         let factors = self.gain(name).map(|gain| gain * PIVOT.powf(1.0 - contrast) / bright.powf(contrast));
-        Shade { factors, contrast, fall_off: self.fall_off }
+        Shade { factors, contrast, fall_off: self.fall_off_of(name) }
     }
 
     /// The reverse of [`Self::taking`].
@@ -159,7 +165,7 @@ impl Exposure {
         let taking = self.taking(name, 1.0);
         let contrast = 1.0 / taking.contrast;
         let factors = taking.factors.map(|factor| bright * factor.powf(-contrast));
-        Shade { factors, contrast, fall_off: -self.fall_off * contrast }
+        Shade { factors, contrast, fall_off: -taking.fall_off * contrast }
     }
 
     /// How bright the mean exposure may be so that nothing in photos of `views` is brighter than white.
@@ -169,6 +175,10 @@ impl Exposure {
             factors.iter().fold(1.0, |most, factor| f32::max(most, *factor)) * fall_off.exp()
         };
         (1.0 / views.iter().map(brightest).fold(1.0, f32::max)).max(DARK_MIN)
+    }
+
+    fn fall_off_of(&self, name: &str) -> f32 {
+        if self.plain_corners.contains(name) { 0.0 } else { self.fall_off }
     }
 
     fn contrast(&self, name: &str) -> f32 {
@@ -185,6 +195,7 @@ impl Exposure {
         let mut only = self.clone();
         only.photos.retain(|name, _| keeps(name));
         only.contrasts.retain(|name, _| keeps(name));
+        only.plain_corners.retain(|name| keeps(name));
         only
     }
 

@@ -22,8 +22,15 @@ fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
     let values = [0, 50, 100, 200, 245, 250, 255];
     let gains = [("bright", [2.0, 1.0, 0.8]), ("dark", [0.5, 1.0, 1.25])];
     let photos = gains.map(|(name, gain)| (name.to_owned(), gain)).into();
-    let exposure =
-        Exposure { stops: 1.0, explained: 1.0, photos, contrasts: BTreeMap::new(), dark: 0.5, fall_off: 0.0 };
+    let exposure = Exposure {
+        stops: 1.0,
+        explained: 1.0,
+        photos,
+        contrasts: BTreeMap::new(),
+        dark: 0.5,
+        fall_off: 0.0,
+        plain_corners: [].into(),
+    };
     let mut scene = gallery(|_| [1.0; 3]).0;
     scene.train = gains.map(|(name, _)| view(name, photo(&values))).into();
     let points = scene.points.clone();
@@ -52,7 +59,15 @@ fn photos_of_another_contrast_are_brought_and_go_back() {
     let values = [20, 50, 100, 200, 255];
     let photos = [("a".to_owned(), [1.2, 1.0, 0.6])].into();
     let contrasts = [("a".to_owned(), 1.25)].into();
-    let mut exposure = Exposure { stops: 1.0, explained: 1.0, photos, contrasts, dark: 1.0, fall_off: 0.0 };
+    let mut exposure = Exposure {
+        stops: 1.0,
+        explained: 1.0,
+        photos,
+        contrasts,
+        dark: 1.0,
+        fall_off: 0.0,
+        plain_corners: [].into(),
+    };
     let mut scene = gallery(|_| [1.0; 3]).0;
     scene.train = vec![view("a", photo(&values))];
     exposure.dark = exposure.darkness(&scene.train);
@@ -92,8 +107,15 @@ fn contrasts_that_cameras_chose_are_found() {
 #[test]
 fn a_render_at_the_exposure_of_a_photo_is_what_the_photo_shows() {
     let photos = [("a".to_owned(), [2.0, 1.0, 0.5])].into();
-    let exposure =
-        Exposure { stops: 1.0, explained: 1.0, photos, contrasts: BTreeMap::new(), dark: 0.5, fall_off: 0.0 };
+    let exposure = Exposure {
+        stops: 1.0,
+        explained: 1.0,
+        photos,
+        contrasts: BTreeMap::new(),
+        dark: 0.5,
+        fall_off: 0.0,
+        plain_corners: [].into(),
+    };
     let [training, finished] = [Light::in_training(&exposure), Light::finished(&exposure)];
     assert_eq!((training.of_photo("a").factors, training.mean().factors), ([4.0, 2.0, 1.0], [2.0; 3]));
     assert_eq!((finished.of_photo("a").factors, finished.of_photo("b").factors), ([2.0, 1.0, 0.5], [1.0; 3]));
@@ -140,6 +162,7 @@ fn the_sentence_says_what_was_found_and_what_is_done() {
         contrasts: BTreeMap::new(),
         dark: 0.7,
         fall_off: 0.0,
+        plain_corners: [].into(),
     };
     assert_eq!(
         exposure.sentence(&scene),
@@ -238,6 +261,7 @@ fn corners_that_a_lens_shows_darker_come_back() {
         view.photo = shade.of_photo(&view.photo.read().unwrap(), &view.camera).into();
     }
     let exposure = estimate(&scene).unwrap().unwrap();
+    assert_eq!(exposure.plain_corners.len(), 3, "test photos have another lens");
     // The gallery's light makes corners darker, too.
     let plain = estimate(&gallery(put).0).unwrap().unwrap();
     let added = exposure.fall_off - plain.fall_off;
