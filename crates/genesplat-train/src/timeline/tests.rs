@@ -266,11 +266,11 @@ fn the_position_rate_decays_a_hundredfold() {
     }
 }
 
-/// 7,000 steps look 50 times at each of 140 photos.
+/// 7,000 steps look 80 times at each of 87 photos.
 #[test]
 fn rates_are_higher_where_each_photo_is_seen_seldom() {
     let schedule = schedule_of(MethodName::Genesplat, |config| config.iterations = 7000);
-    let [few, many] = [140, 141].map(|photos| schedule.on(photos));
+    let [few, many] = [87, 88].map(|photos| schedule.on(photos));
     let [usual, hasty] = [&few, &many].map(|schedule| schedule.rates(2.0, 1));
     assert_eq!(usual, schedule.rates(2.0, 1));
     assert!(few.timeline().first(Event::ResetOpacity).is_some());
@@ -282,8 +282,8 @@ fn rates_are_higher_where_each_photo_is_seen_seldom() {
         [2.0; 4]
     );
     assert_eq!(hasty.rotation, usual.rotation);
-    assert!(schedule.lines(141).iter().any(|line| line.contains("few looks")));
-    assert!(!schedule.lines(140).iter().any(|line| line.contains("few looks")));
+    assert!(schedule.lines(88).iter().any(|line| line.contains("few looks")));
+    assert!(!schedule.lines(87).iter().any(|line| line.contains("few looks")));
     let mut config = TrainConfig { iterations: 7000, ..TrainConfig::default() };
     config.method.few_looks = 0;
     let none = config.resolve().unwrap();

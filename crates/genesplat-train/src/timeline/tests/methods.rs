@@ -114,7 +114,7 @@ fn ours_grows_gradually_unless_the_run_is_short() {
     assert!(timeline.grown(3300) < 1.0 && timeline.is_full(3400));
     assert!((timeline.grown(1750) - 0.5f64.powf(1.5)).abs() < 0.03, "slowly at first");
     let root = 0.5f64.sqrt();
-    let many = gradual.on(141);
+    let many = gradual.on(88);
     assert!((many.timeline().grown(1750) - root).abs() < 0.03, "along the root, where photos are many");
     assert!((of(4000).timeline().grown(1000) - root).abs() < 0.05, "along the root");
     let at_once = schedule_of(MethodName::Genesplat, |config| {
