@@ -78,7 +78,7 @@ pub struct Exposure {
     /// By what factors red, green and blue of a photo are brighter than on average, by the names of views,
     /// test photos among them. One that is not there is taken as it is.
     pub photos: BTreeMap<String, [f32; 3]>,
-    /// The powers of what is seen at the mean exposure that photos follow, about [`PIVOT`]; 1 where none is
+    /// The powers of what is seen at the mean exposure that photos follow; 1 where none is
     /// there.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub contrasts: BTreeMap<String, f32>,
