@@ -1,3 +1,5 @@
+use std::io::Write;
+
 use genesplat::core::Photo;
 use genesplat::io::photos::{encode_jpeg, read_photo, write_png};
 
@@ -140,8 +142,15 @@ fn photos_of_an_archive_are_unpacked_once() {
     let place = tempfile::tempdir().unwrap();
     let [archive, images, work] = ["trip.zip", "images", "work"].map(|name| place.path().join(name));
     let mut zip = zip::ZipWriter::new(fs::File::create(&archive).unwrap());
-    for name in ["trip/1.jpg", "trip/b/2.PNG", "trip/notes.txt"] {
+    let photo = Photo { width: 8, height: 4, rgb: vec![90; 3 * 8 * 4] };
+    write_png(&place.path().join("2.PNG"), &photo).unwrap();
+    let (jpeg, png) = (encode_jpeg(&photo, 90), fs::read(place.path().join("2.PNG")).unwrap());
+    // The third photo is damaged, and left out.
+    let files: [(&str, &[u8]); 4] =
+        [("trip/1.jpg", &jpeg), ("trip/b/2.PNG", &png), ("trip/3.jpg", b""), ("trip/notes.txt", b"")];
+    for (name, bytes) in files {
         zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(bytes).unwrap();
     }
     zip.finish().unwrap();
     let (source, never) = (Source::open(&archive, None).unwrap(), AtomicBool::new(false));
