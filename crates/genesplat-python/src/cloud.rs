@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use genesplat::core::{Camera, Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Options};
-use genesplat::io::{Format, Offset};
+use genesplat::io::{Format, Offset, shown};
 use genesplat::run::device::{self, Device, DeviceChoice};
 use genesplat::run::output::WriteBar;
 use genesplat::run::{files, splat, take_along};
@@ -74,10 +74,7 @@ impl Cloud {
                 (format_named(ending)?, py.detach(|| format::read(&path)).map_err(told)?.format);
             if wanted != found {
                 let found = found.ending();
-                return Err(told(format!(
-                    "{} is {found}, and not {ending}; use Splats.load",
-                    path.display()
-                )));
+                return Err(told(format!("{} is {found}, and not {ending}; use Splats.load", shown(&path))));
             }
         }
         let opened = wait_for(py, &Default::default(), || splat::open(&path))?.map_err(told)?;

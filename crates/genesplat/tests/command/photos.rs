@@ -154,10 +154,12 @@ fn a_white_mask_changes_no_byte() {
 fn half_of_each_photo_is_as_good_as_the_whole() {
     let folder = tempfile::tempdir().unwrap();
     let (hidden, file) = (folder.path().join("hidden"), folder.path().join("scores.json"));
+    let unhurried = folder.path().join("unhurried.toml");
+    fs::write(&unhurried, "[method]\nname = \"genesplat\"\nfew_looks = 0\n").unwrap();
     write_half_hidden(&hidden, Some(128));
     let psnr = |scene: &Path, name: &str| {
         let run = folder.path().join(name);
-        succeed(train(scene, &run, &["--iterations", "600"]));
+        succeed(train(scene, &run, &["--iterations", "600", "--config", text(&unhurried)]));
         // Of the whole scene's splat, too, the half that counts.
         succeed(["evaluate", text(&run), "--data", text(&hidden), "--json", text(&file), "--device", "cpu"]);
         number(&json(&file)["psnr"])

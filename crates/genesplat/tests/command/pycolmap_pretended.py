@@ -36,6 +36,7 @@ class Row(tuple):
 
 class Image:
     has_pose = True
+    name = "a photo"
 
     def cam_from_world(self):
         return self
