@@ -83,7 +83,11 @@ def test_everything_public_is_documented() -> None:
     assert all(name in text for name in gs.__all__ if name != "__version__")
 
 
-@pytest.mark.parametrize("example", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+# Those with PyTorch are run by `check-torch`.
+WITHOUT_TORCH = sorted(path for path in EXAMPLES.glob("*.py") if "torch" not in path.read_text())
+
+
+@pytest.mark.parametrize("example", WITHOUT_TORCH, ids=lambda path: path.stem)
 def test_examples_run_and_are_short(example: Path, folder: Path, tmp_path: Path) -> None:
     assert len(example.read_text().splitlines()) <= 20
     words = [sys.executable, str(example), str(folder), "100"]
