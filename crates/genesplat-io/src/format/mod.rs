@@ -80,16 +80,24 @@ impl Format {
         }
     }
 
-    /// The format of a file that begins with `head`: all but `.splat` have a mark there, and it goes before
-    /// the name.
+    /// The format of a file, by its first bytes, else by its name; `None` where neither tells.
+    pub fn of_file(path: &Path) -> std::io::Result<Option<Self>> {
+        Ok(Self::of_mark(&head(path)?).or_else(|| Self::of(path)))
+    }
+
     fn of_content(path: &Path, head: &[u8]) -> Self {
+        Self::of_mark(head).or_else(|| Self::of(path)).unwrap_or(Self::Ply)
+    }
+
+    /// All but `.splat` have a mark at their beginning, which goes before the name.
+    fn of_mark(head: &[u8]) -> Option<Self> {
         match head {
             // gzip with deflate, and the five flags that it has.
-            [0x1f, 0x8b, 8, 0..32] | [b'N', b'G', b'S', b'P', ..] => Self::Spz,
-            [b'P', b'K', 3, 4, ..] => Self::Sog,
-            [b'g', b'l', b'T', b'F', ..] => Self::Glb,
-            [b'p', b'l', b'y', b'\n' | b'\r', ..] => Self::Ply,
-            _ => Self::of(path).unwrap_or(Self::Ply),
+            [0x1f, 0x8b, 8, 0..32] | [b'N', b'G', b'S', b'P', ..] => Some(Self::Spz),
+            [b'P', b'K', 3, 4, ..] => Some(Self::Sog),
+            [b'g', b'l', b'T', b'F', ..] => Some(Self::Glb),
+            [b'p', b'l', b'y', b'\n' | b'\r', ..] => Some(Self::Ply),
+            _ => None,
         }
     }
 }

@@ -1,30 +1,29 @@
 //! What people give where a splat or a run is wanted: said as what it is, with what to do.
 
-use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Result, bail};
 use genesplat_io::colmap::find_model;
 use genesplat_io::{
-    Format, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, command_line, ending, input, is_transforms, shown,
+    Format, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, command_line, ending, is_transforms, shown,
 };
 
 use crate::session::{is_part_of_run, is_run};
 
 const PAGES: [&str; 2] = ["html", "htm"];
 const MESHES: [&str; 8] = ["obj", "stl", "fbx", "dae", "usdz", "usd", "3ds", "gltf"];
-/// How every PLY begins.
-const PLY: &[u8] = b"ply";
 
 /// Fails where `path` is known to be neither a splat nor a run.
 pub(super) fn check(path: &Path) -> Result<()> {
     if path.is_dir() {
         return check_folder(path);
     }
-    // Whatever a file is called, its first bytes count.
-    if Format::of(path).is_some() || begins_as_ply(path) {
-        return Ok(());
-    }
+    // What cannot be opened is told of by who reads it.
+    if Format::of_file(path).is_ok_and(|format| format.is_none()) { check_file(path) } else { Ok(()) }
+}
+
+/// Neither its first bytes nor its name say that it is a splat.
+fn check_file(path: &Path) -> Result<()> {
     let end = ending(path);
     let is = |endings: &[&str]| endings.contains(&&*end);
     let what = match () {
@@ -41,12 +40,6 @@ pub(super) fn check(path: &Path) -> Result<()> {
         }
     };
     bail!("{} {what}", shown(path))
-}
-
-fn begins_as_ply(path: &Path) -> bool {
-    let mut start = [0; PLY.len()];
-    // What cannot be opened is told of by who reads it.
-    input::open(path).map_or(true, |mut file| file.read_exact(&mut start).is_ok() && start == PLY)
 }
 
 /// The folder of a scene is no run yet.
