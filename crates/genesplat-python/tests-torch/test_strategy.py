@@ -173,7 +173,7 @@ def test_children_part_along_the_longest_axis_and_moments_go_with_their_rows():
 
 
 def test_resets_limit_opacities_and_forget_their_moments():
-    strategy = ImprovedStrategy(cap_max=100, iterations=3000)
+    strategy = ImprovedStrategy(cap_max=100, iterations=3000, photos=20)
     state = strategy.initialize_state()
     iteration = next(i for i in range(1, 3000) if state["control"].reset(i) is not None)
     params, optimizers = start(4)
@@ -188,6 +188,11 @@ def test_resets_limit_opacities_and_forget_their_moments():
     ceiling = math.log(0.05 / 0.95)
     assert params["opacities"].tolist() == pytest.approx([ceiling, ceiling, -4.0, ceiling])
     assert optimizers["opacities"].state[params["opacities"]]["exp_avg"].abs().max() == 0
+
+
+def test_where_photos_are_seldom_looked_at_nothing_is_reset():
+    control = ImprovedStrategy(cap_max=100, iterations=3000, photos=100).initialize_state()["control"]
+    assert all(control.reset(i) is None for i in range(1, 3000))
 
 
 def test_what_is_wrong_is_a_sentence():
