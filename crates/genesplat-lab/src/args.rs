@@ -119,8 +119,7 @@ fn psnr(text: &str) -> Result<f64, String> {
 }
 
 fn method(text: &str) -> Result<MethodName, String> {
-    let named = MethodName::ALL.into_iter().find(|method| method.name() == text);
-    named.ok_or_else(|| {
+    MethodName::from_name(text).ok_or_else(|| {
         let names = MethodName::ALL.map(MethodName::name).join(", ");
         format!("there is no such method; the methods are {names}")
     })

@@ -120,7 +120,7 @@ pub(crate) fn cameras(
 /// How far a rotation may be from one: single precision, multiplied a few times.
 const ROTATION_ERROR: f64 = 1e-3;
 
-fn camera(
+pub(crate) fn camera(
     pose: &ArrayView2<'_, f64>,
     lens: &ArrayView2<'_, f64>,
     at: usize,

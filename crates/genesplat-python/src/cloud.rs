@@ -69,15 +69,13 @@ impl Cloud {
     /// A file, or the folder of a run; `ending` is the format that it has to have, if any.
     #[staticmethod]
     fn open(py: Python<'_>, path: PathBuf, ending: Option<&str>) -> PyResult<Self> {
-        if let Some(ending) = ending {
-            let (wanted, found) =
-                (format_named(ending)?, py.detach(|| format::read(&path)).map_err(told)?.format);
-            if wanted != found {
-                let found = found.ending();
-                return Err(told(format!("{} is {found}, and not {ending}; use Splats.load", shown(&path))));
-            }
-        }
+        let wanted = ending.map(format_named).transpose()?;
         let opened = wait_for(py, &Default::default(), || splat::open(&path))?.map_err(told)?;
+        if let Some(wanted) = wanted.filter(|wanted| opened.format != Some(*wanted)) {
+            let found = opened.format.map_or("the folder of a run", Format::ending);
+            let (path, wanted) = (shown(&path), wanted.ending());
+            return Err(told(format!("{path} is {found}, and not {wanted}; use Splats.load")));
+        }
         Ok(Self { cloud: opened.cloud.into(), settings: opened.settings, offset: opened.offset })
     }
 

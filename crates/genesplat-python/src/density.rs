@@ -1,16 +1,16 @@
 //! What `genesplat.strategy` stands on: plans of density control, and how much Gaussians stand for edges.
 
 use genesplat::core::gaussians::Moments;
-use genesplat::core::{Camera, Device, Gaussians, Origin, Photo, RenderSettings, Statistics, View};
+use genesplat::core::{Device, Gaussians, Origin, Photo, RenderSettings, Statistics, View};
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::{DensityControl, MethodName, edge_scores};
-use glam::{DMat3, DQuat, DVec3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 
+use crate::arrays::camera;
 use crate::error::{told, wrong};
 use crate::rasterize::rows_of;
 
@@ -143,14 +143,19 @@ impl Rows {
         &self,
         py: Python<'py>,
         photos: Vec<PyReadonlyArray3<'py, u8>>,
-        viewmats: Vec<[[f64; 4]; 4]>,
-        ks: Vec<[[f64; 3]; 3]>,
+        viewmats: PyReadonlyArray3<'py, f64>,
+        intrinsics: PyReadonlyArray3<'py, f64>,
         near: f64,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let cameras = viewmats.iter().zip(&ks);
-        let views: PyResult<Vec<View>> =
-            photos.iter().zip(cameras).map(|(photo, (viewmat, k))| view(photo, viewmat, k, near)).collect();
-        let (views, cloud) = (views?, self.0.clone());
+        let (poses, lenses) = (viewmats.as_array(), intrinsics.as_array());
+        let cameras = poses.outer_iter().zip(lenses.outer_iter()).enumerate();
+        let view = |(photo, (at, (pose, lens)))| -> PyResult<View> {
+            let photo = photo_of(photo)?;
+            let camera = camera(&pose, &lens, at, (photo.width, photo.height), near)?;
+            Ok(View { name: String::new(), camera, photo: photo.into(), mask: None })
+        };
+        let views: Vec<View> = photos.iter().zip(cameras).map(view).collect::<PyResult<_>>()?;
+        let cloud = self.0.clone();
         let scores = py.detach(|| {
             let mut backend = CpuBackend::new();
             backend.set_views(&views)?;
@@ -176,27 +181,9 @@ fn column(name: &str, values: &PyReadonlyArray1<'_, f32>, rows: usize) -> PyResu
     Ok(values.to_vec())
 }
 
-fn view(
-    photo: &PyReadonlyArray3<'_, u8>,
-    viewmat: &[[f64; 4]; 4],
-    k: &[[f64; 3]; 3],
-    near: f64,
-) -> PyResult<View> {
+fn photo_of(photo: &PyReadonlyArray3<'_, u8>) -> PyResult<Photo> {
     let &[height, width, 3] = photo.shape() else {
         return Err(wrong(format!("a photo has the shape {:?}, not [H, W, 3]", photo.shape())));
     };
-    let (width, height) = (width as u32, height as u32);
-    let rotation =
-        DMat3::from_cols_array_2d(&[0, 1, 2].map(|column| [0, 1, 2].map(|row| viewmat[row][column])));
-    let camera = Camera {
-        width,
-        height,
-        focal_px: [k[0][0], k[1][1]],
-        principal_px: [k[0][2], k[1][2]],
-        camera_from_world_rotation: DQuat::from_mat3(&rotation).normalize(),
-        camera_from_world_translation: DVec3::new(viewmat[0][3], viewmat[1][3], viewmat[2][3]),
-        near,
-    };
-    let photo = Photo { width, height, rgb: photo.as_slice()?.to_vec() };
-    Ok(View { name: String::new(), camera, photo: photo.into(), mask: None })
+    Ok(Photo { width: width as u32, height: height as u32, rgb: photo.as_slice()?.to_vec() })
 }

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use genesplat_io::Scene;
 use genesplat_metrics::Lpips;
 use genesplat_train::{MethodName, Schedule, TrainConfig};
@@ -15,8 +15,6 @@ use crate::numbers::{thousands, time_left};
 const MOST: u32 = 30_000;
 /// A shorter one has not grown.
 const LEAST: u32 = 200;
-/// From one length that is tried to the next shorter one.
-const SHORTER: f64 = 0.99;
 
 /// What fits.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,19 +42,23 @@ pub fn room(
     let cost = Cost::tried(device, scene, &schedule, lpips)?;
     let takes = |schedule: &Schedule| cost.training_seconds(schedule, &scene.train) + cost.scoring_seconds;
     let left = seconds - clock.elapsed().as_secs_f64();
-    let mut iterations = MOST;
-    while iterations >= LEAST {
-        let expected = takes(&of_length(config, iterations)?);
-        if expected <= left {
-            return Ok(Room { iterations, sentence: sentence(iterations, &cost, expected) });
-        }
-        iterations = (f64::from(iterations) * SHORTER) as u32;
-    }
     let least = takes(&of_length(config, LEAST)?);
-    bail!(
+    ensure!(
+        least <= left,
         "even {LEAST} iterations take about {} here; give more --minutes, or train on smaller photos (--max-side)",
         time_left(least)
     );
+    // The longest that fits lies from `iterations` to `most`.
+    let (mut iterations, mut most) = (LEAST, MOST);
+    while iterations < most {
+        let middle = most - (most - iterations) / 2;
+        match takes(&of_length(config, middle)?) <= left {
+            true => iterations = middle,
+            false => most = middle - 1,
+        }
+    }
+    let expected = takes(&of_length(config, iterations)?);
+    Ok(Room { iterations, sentence: sentence(iterations, &cost, expected) })
 }
 
 fn of_length(config: &TrainConfig, iterations: u32) -> Result<Schedule> {

@@ -37,6 +37,8 @@ pub struct Splat {
     pub offset: Option<Offset>,
     /// Median step of a coordinate in its file, world units.
     pub step: f64,
+    /// What its file is; `None` for the folder of a run.
+    pub format: Option<Format>,
     /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
     trained_on: Option<Dataset>,
     /// The folder of its run, and what the run began with, as far as that is known.
@@ -241,7 +243,7 @@ pub(crate) fn of_run(folder: &Path, cloud: Gaussians, step: f64) -> Result<Splat
     });
     let offset = inputs.as_ref().and_then(|inputs| inputs.scene.offset);
     let began_with = inputs.map(|inputs| (folder.to_owned(), inputs));
-    Ok(Splat { cloud, settings, offset, step, trained_on: Some(config.dataset), began_with })
+    Ok(Splat { cloud, settings, offset, step, format: None, trained_on: Some(config.dataset), began_with })
 }
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what
@@ -279,8 +281,8 @@ fn open_file(read: Read, path: &Path) -> Result<Splat> {
             offset::in_words(by)
         ));
     }
-    let (offset, step) = (offset::sum(beside, loaded.offset), loaded.step);
-    Ok(Splat { cloud: loaded.cloud, settings, offset, step, trained_on: None, began_with: None })
+    let (offset, step, format) = (offset::sum(beside, loaded.offset), loaded.step, Some(loaded.format));
+    Ok(Splat { cloud: loaded.cloud, settings, offset, step, format, trained_on: None, began_with: None })
 }
 
 fn read_cloud(read: Read, path: &Path) -> Result<Loaded> {

@@ -8,7 +8,8 @@ use genesplat_metrics::psnr_under;
 
 use crate::exposure::{Exposure, Light, Shade};
 
-const POINTS: u32 = 12;
+/// Points of the curve.
+pub(crate) const POINTS: u32 = 12;
 
 pub(crate) struct TestCurve<'a> {
     views: &'a [View],

@@ -13,7 +13,7 @@ use genesplat::io::{Scene, shown};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::numbers::thousands;
 use genesplat::run::session::{Caller, RunSession};
-use genesplat::run::settings::{ConfigFile, Machine, Settings};
+use genesplat::run::settings::{ConfigFile, Dataset, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{device, files, scene};
 use genesplat::terminal::program::Ending;
@@ -126,10 +126,8 @@ impl Study<'_> {
         let mut train = TrainConfig { iterations, seed: self.args.seed, ..TrainConfig::of(method) };
         train.max_gaussians = self.args.max_gaussians;
         let mut file = ConfigFile::of_scene(self.args.scene.clone(), train);
-        let size = self.args.size.asked();
-        (file.dataset.max_side, file.dataset.downscale) = (size.max_side, size.downscale);
-        let machine = Machine { device: self.args.machine.device(), threads: self.args.machine.threads };
-        file.resolve(machine)
+        file.dataset = Dataset::of(&self.args.scene, &self.args.size.asked());
+        file.resolve(self.args.machine.into())
     }
 
     fn train(&self, settings: &Settings, folder: &Path, began: Instant) -> Result<Option<Metrics>> {

@@ -87,8 +87,8 @@ class Rows:
     def edge_scores(
         self,
         photos: list[UInt8],
-        viewmats: list[list[list[float]]],
-        ks: list[list[list[float]]],
+        viewmats: Float64,
+        intrinsics: Float64,
         near: float,
     ) -> Float32: ...
 

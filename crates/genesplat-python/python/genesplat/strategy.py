@@ -208,9 +208,7 @@ def _edge_scores(cloud: Rows, control: DensityControl, views: Any, iteration: in
     shown = control.score_views(iteration, len(images))
     if not shown:
         return None
-    return cloud.edge_scores(
-        [images[view] for view in shown], viewmats[shown].tolist(), Ks[shown].tolist(), near_plane
-    )
+    return cloud.edge_scores([images[view] for view in shown], viewmats[shown], Ks[shown], near_plane)
 
 
 def _replace(

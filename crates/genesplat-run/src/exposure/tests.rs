@@ -14,6 +14,19 @@ fn photo(values: &[u8]) -> Photo {
     }
 }
 
+/// Gains alone.
+fn of_photos(photos: BTreeMap<String, [f32; 3]>) -> Exposure {
+    Exposure {
+        stops: 1.0,
+        explained: 1.0,
+        photos,
+        contrasts: BTreeMap::new(),
+        dark: 1.0,
+        fall_off: 0.0,
+        plain_corners: [].into(),
+    }
+}
+
 const BLACK: [f32; 3] = [0.0; 3];
 static CAMERA: LazyLock<Camera> = LazyLock::new(|| Camera::at_origin(1, 1, 1.0));
 
@@ -22,15 +35,7 @@ fn photos_are_brought_so_that_no_white_is_cut_off_and_go_back() {
     let values = [0, 50, 100, 200, 245, 250, 255];
     let gains = [("bright", [2.0, 1.0, 0.8]), ("dark", [0.5, 1.0, 1.25])];
     let photos = gains.map(|(name, gain)| (name.to_owned(), gain)).into();
-    let exposure = Exposure {
-        stops: 1.0,
-        explained: 1.0,
-        photos,
-        contrasts: BTreeMap::new(),
-        dark: 0.5,
-        fall_off: 0.0,
-        plain_corners: [].into(),
-    };
+    let exposure = Exposure { dark: 0.5, ..of_photos(photos) };
     let mut scene = gallery(|_| [1.0; 3]).0;
     scene.train = gains.map(|(name, _)| view(name, photo(&values))).into();
     let points = scene.points.clone();
@@ -59,15 +64,7 @@ fn photos_of_another_contrast_are_brought_and_go_back() {
     let values = [20, 50, 100, 200, 255];
     let photos = [("a".to_owned(), [1.2, 1.0, 0.6])].into();
     let contrasts = [("a".to_owned(), 1.25)].into();
-    let mut exposure = Exposure {
-        stops: 1.0,
-        explained: 1.0,
-        photos,
-        contrasts,
-        dark: 1.0,
-        fall_off: 0.0,
-        plain_corners: [].into(),
-    };
+    let mut exposure = Exposure { contrasts, ..of_photos(photos) };
     let mut scene = gallery(|_| [1.0; 3]).0;
     scene.train = vec![view("a", photo(&values))];
     exposure.dark = exposure.darkness(&scene.train);
@@ -107,15 +104,7 @@ fn contrasts_that_cameras_chose_are_found() {
 #[test]
 fn a_render_at_the_exposure_of_a_photo_is_what_the_photo_shows() {
     let photos = [("a".to_owned(), [2.0, 1.0, 0.5])].into();
-    let exposure = Exposure {
-        stops: 1.0,
-        explained: 1.0,
-        photos,
-        contrasts: BTreeMap::new(),
-        dark: 0.5,
-        fall_off: 0.0,
-        plain_corners: [].into(),
-    };
+    let exposure = Exposure { dark: 0.5, ..of_photos(photos) };
     let [training, finished] = [Light::in_training(&exposure), Light::finished(&exposure)];
     assert_eq!((training.of_photo("a").factors, training.mean().factors), ([4.0, 2.0, 1.0], [2.0; 3]));
     assert_eq!((finished.of_photo("a").factors, finished.of_photo("b").factors), ([2.0, 1.0, 0.5], [1.0; 3]));
@@ -155,15 +144,7 @@ fn the_sentence_says_what_was_found_and_what_is_done() {
     let mut scene = genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth);
     (scene.train, scene.test) = (vec![view("a"), view("b")], vec![view("c")]);
     let photos = [("a".to_owned(), [1.0; 3]), ("c".to_owned(), [1.0; 3])].into();
-    let exposure = Exposure {
-        stops: 0.534,
-        explained: 0.351,
-        photos,
-        contrasts: BTreeMap::new(),
-        dark: 0.7,
-        fall_off: 0.0,
-        plain_corners: [].into(),
-    };
+    let exposure = Exposure { stops: 0.534, explained: 0.351, dark: 0.7, ..of_photos(photos) };
     assert_eq!(
         exposure.sentence(&scene),
         "photos differ by 0.53 stops, and are brought to one exposure, which explains 35 % of what shared points differ by; \
