@@ -15,13 +15,12 @@ use genesplat::run::exposure::{self, Exposure};
 use genesplat::run::inputs::Inputs;
 use genesplat::run::live::Showing;
 use genesplat::run::metrics::Metrics;
-use genesplat::run::minutes::room;
 use genesplat::run::numbers::{duration, thousands};
 use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine, Settings};
 use genesplat::run::training::{Ended, Run};
 use genesplat::run::{CLOUD, REPORT};
-use genesplat::run::{cluster, device, files, inputs, lpips, overwrite, preparing, scene};
+use genesplat::run::{cluster, device, files, inputs, lpips, minutes, overwrite, preparing, scene};
 use genesplat::terminal::interrupt;
 use genesplat::terminal::output::{self, Volume};
 use genesplat::terminal::program::Ending;
@@ -138,6 +137,7 @@ fn load(
     };
     let over = |train: &mut TrainConfig| args.override_config(train);
     let mut config = ConfigFile::of_training(&args.asked(&over)?)?;
+    args.schedule.minutes.map_or(Ok(()), |_| minutes::check_method(&config.train))?;
     let mut machine = Machine::from(args.machine);
     if cluster.is_some() {
         check_ranks(args, &config.train)?;
@@ -175,7 +175,7 @@ fn load(
 
 /// So many fit into the minutes that are left.
 fn iterations_within(
-    minutes: f64,
+    asked_minutes: f64,
     began: Instant,
     config: &ConfigFile,
     machine: Machine,
@@ -183,8 +183,8 @@ fn iterations_within(
     lpips: Option<&Lpips>,
 ) -> Result<u32> {
     let mut device = device::open(config.clone().resolve(machine)?.device)?;
-    let left = 60.0 * minutes - began.elapsed().as_secs_f64();
-    let room = room(left, &config.train, scene, &mut device, lpips)?;
+    let left = 60.0 * asked_minutes - began.elapsed().as_secs_f64();
+    let room = minutes::room(left, &config.train, scene, &mut device, lpips)?;
     output::tell(&room.sentence);
     Ok(room.iterations)
 }

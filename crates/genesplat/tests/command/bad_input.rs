@@ -385,3 +385,12 @@ fn wrong_usage_has_status_2() {
         assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");
     }
 }
+
+/// A published method would be cut short; that is known before a photo is read.
+#[test]
+fn minutes_are_of_a_method_whose_schedule_fits() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, run) = (folder.path().join("absent"), folder.path().join("run"));
+    let words = ["train", text(&scene), "--out", text(&run), "--minutes", "1", "--method", "3dgs"];
+    fail(words, &["--minutes is of --method genesplat", "give --iterations instead"]);
+}
