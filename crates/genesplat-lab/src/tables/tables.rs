@@ -43,7 +43,7 @@ struct Table {
     write: fn(&[Part], &Path) -> Result<String>,
 }
 
-const TABLES: [Table; 17] = [
+const TABLES: [Table; 18] = [
     Table {
         name: "methods",
         file: "real-size",
@@ -76,6 +76,7 @@ const TABLES: [Table; 17] = [
     Table { name: "long-runs", file: SINGLE, part: |run| run.of("long", Run::line), write: front::long_runs },
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
     Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
+    Table { name: "haste", file: SINGLE, part: |run| run.of("haste", Run::line), write: grid },
     Table { name: "few-photos", file: SINGLE, part: |run| run.of("few-photos", Run::line), write: grid },
     Table { name: "mcmc", file: SINGLE, part: |run| run.of("mcmc", Run::line), write: grid },
     Table { name: "selection", file: SINGLE, part: |run| run.of("selection", Run::line), write: grid },
