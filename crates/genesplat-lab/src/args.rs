@@ -234,9 +234,6 @@ pub(crate) struct BenchGpuArgs {
     /// Individuals to score
     #[arg(long, value_name = "P", default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..))]
     pub(crate) population: u32,
-    /// Sort without subgroups, as on devices that have none, to see what they are worth on this one
-    #[arg(long)]
-    pub(crate) without_subgroups: bool,
     /// Processor threads to make the cloud with [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
     pub(crate) threads: Option<u16>,

@@ -10,11 +10,10 @@ use genesplat_core::{Camera, DeviceState, Held, Mask, RenderSettings, StoredPhot
 use crate::Result;
 use crate::device::timing::Timestamps;
 use crate::device::{Engine, Memory, Recorder};
-use crate::layout::{HALT_OVERFLOW, Optimiser, ViewPass};
+use crate::layout::{Optimiser, ViewPass};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::{INTERSECTION_GRADIENT_BYTES, Needs, Pixels, pack_photo};
 use crate::stages::score::PoolBuffers;
-use crate::stages::sort::sorts_right;
 use crate::state::State;
 
 #[derive(Clone, Copy, Debug)]
@@ -78,15 +77,7 @@ impl GpuBackend {
 
     /// The same on the device of this place in [`crate::adapters`].
     pub fn at(place: Option<usize>) -> Result<Self> {
-        let engine = Engine::at(place)?;
-        let is_right = !engine.abilities.subgroups || sorts_right(&engine)?;
-        Self::on(if is_right { engine } else { engine.without_subgroups() })
-    }
-
-    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu`
-    /// compares with.
-    pub fn without_subgroups() -> Result<Self> {
-        Self::on(Engine::new()?.without_subgroups())
+        Self::on(Engine::at(place)?)
     }
 
     pub(crate) fn on(engine: Engine) -> Result<Self> {
@@ -102,11 +93,6 @@ impl GpuBackend {
             steps: 0,
             timestamps: None,
         })
-    }
-
-    /// Whether its kernels sort and sum by subgroups.
-    pub fn uses_subgroups(&self) -> bool {
-        self.engine.abilities.subgroups
     }
 
     /// Bytes that this backend holds on the device.
@@ -148,7 +134,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, pass, optimiser);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
-        self.lists.clear_ranges(&mut recorder, pass);
+        self.lists.clear_tallies(&mut recorder, pass);
         self.lists.record(&mut recorder, &self.state, held, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
@@ -188,10 +174,9 @@ impl GpuBackend {
             submit(self)?;
             let (lists, engine) = self.lists_of(whose);
             let (counters, values) = lists.take_counters(engine, filled)?;
-            if counters.halted & HALT_OVERFLOW == 0 {
+            if !lists.grow(engine, &counters)? {
                 return Ok(values);
             }
-            lists.grow(engine, counters.wanted)?;
         }
     }
 

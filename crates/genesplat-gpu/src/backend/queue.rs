@@ -14,7 +14,7 @@ use genesplat_core::{BackendError, Held, TrainStep};
 
 use super::held::GpuBackend;
 use crate::Result;
-use crate::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
+use crate::layout::{Counters, HALT_NON_FINITE, Optimiser};
 use crate::stages::optimise::Optimise;
 use crate::stages::pixels::Needs;
 
@@ -57,9 +57,7 @@ impl GpuBackend {
                 let cloud = self.state.download(&self.engine)?;
                 return Err(BackendError::diverged(&cloud, self.steps));
             }
-            if counters.halted & HALT_OVERFLOW != 0 {
-                self.lists.grow(&self.engine, counters.wanted)?;
-            }
+            self.lists.grow(&self.engine, &counters)?;
             for step in self.queued.clone() {
                 self.submit(&step)?;
             }

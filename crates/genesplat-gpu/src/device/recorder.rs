@@ -108,6 +108,7 @@ impl<'a> Recorder<'a> {
             self.submit_so_far();
         }
         self.instructions += instructions;
+        self.engine.dispatches.set(self.engine.dispatches.get() + 1);
         let (kernel, group) = self.engine.bound(shader, overrides, parts);
         if self.pass.is_none() {
             self.pass = Some(self.begin_pass());

@@ -1,7 +1,8 @@
 //! Long work is split into dispatches and submissions that a weak device is through with soon: with the same
 //! bits.
 
-use genesplat_core::{DeviceState, Held, Image};
+use genesplat_core::backend::McmcStep;
+use genesplat_core::{DeviceState, Held, Image, Rng, StatisticsRequest};
 
 use super::evolution::map_of;
 use super::verbs::change_rows;
@@ -83,3 +84,42 @@ fn a_kernel_that_forgets_its_first_tile_row_is_noticed() {
 
 /// The one place where a kernel asks for it, but for its declaration.
 const FIRST_ROW: &str = "first_tile_row, 0u";
+
+/// Most of a small step's time is the device's way from one dispatch to the next.
+#[test]
+fn a_step_is_few_dispatches_one_submission_and_no_wait() {
+    let Some(mut gpu) = gpu() else { return };
+    let asking = step(1, settings(3, ScreenFilter::Classic));
+    let plain = TrainStep { statistics: StatisticsRequest::default(), ..asking };
+    let mut wandering = asking;
+    wandering.update.as_mut().unwrap().mcmc = Some(McmcStep {
+        noise_scale: 1e-3,
+        opacity_weight: 0.01,
+        scale_weight: 0.01,
+        rng: Rng::new(SEED),
+        counter: 1,
+    });
+    for (step, expected) in [(plain, DISPATCHES), (asking, DISPATCHES + 2), (wandering, DISPATCHES + 3)] {
+        let statistics = step.statistics;
+        // Every few steps, colours make up for those that they have missed.
+        gpu.upload(cloud(300).into()).unwrap();
+        // The first time, buffers grow.
+        gpu.train_step(&step).unwrap();
+        gpu.report().unwrap();
+        let counts = |gpu: &GpuBackend| {
+            let engine = &gpu.engine;
+            [&engine.dispatches, &engine.submissions, &engine.waits].map(std::cell::Cell::get)
+        };
+        let before = counts(&gpu);
+        gpu.train_step(&step).unwrap();
+        let after = counts(&gpu);
+        let [dispatches, submissions, waits] = std::array::from_fn(|which| after[which] - before[which]);
+        assert_eq!([dispatches, submissions, waits], [expected, 1, 0], "{statistics:?}");
+        assert!(dispatches <= 22);
+        gpu.report().unwrap();
+    }
+}
+
+/// Dispatches of a step without statistics: two of projection, five of tile lists, one of blending, three of the
+/// loss, two backward, three of the optimiser.
+const DISPATCHES: u32 = 16;

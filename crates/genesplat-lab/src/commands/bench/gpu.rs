@@ -31,7 +31,6 @@ const COPIED_BYTES: u64 = 256 << 20;
 #[derive(Serialize)]
 struct Report {
     device: String,
-    subgroups: bool,
     memory_bytes_per_second: f64,
     width: u32,
     height: u32,
@@ -68,10 +67,9 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
     let mut source = Source::of(&args.source, [args.width, args.height])?;
     source.views = spread(&source.views, args.steps as usize);
     let [width, height] = size_px(&source.views);
-    let mut backend = new_backend(args)?;
+    let mut backend = new_backend()?;
     let mut report = Report {
         device: backend.describe(),
-        subgroups: backend.uses_subgroups(),
         memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
         width,
         height,
@@ -83,7 +81,7 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
     let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
     for gaussians in sizes {
         output::tell(&format!("making {gaussians} Gaussians"));
-        let measured = Bench::new(&source, gaussians as usize, args)
+        let measured = Bench::new(&source, gaussians as usize)
             .and_then(|mut bench| bench.measure(args, report.memory_bytes_per_second));
         match measured {
             // What was measured at smaller sizes is worth as much as before.
@@ -100,9 +98,8 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
     args.json.write(&report)
 }
 
-fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
-    let open = if args.without_subgroups { GpuBackend::without_subgroups } else { GpuBackend::new };
-    without_drivers(open)
+fn new_backend() -> Result<GpuBackend, BackendError> {
+    without_drivers(GpuBackend::new)
 }
 
 fn is_too_large(error: &anyhow::Error) -> bool {
@@ -137,8 +134,8 @@ struct Timed {
 }
 
 impl Bench {
-    fn new(source: &Source, gaussians: usize, args: &BenchGpuArgs) -> Result<Self> {
-        let mut backend = new_backend(args)?;
+    fn new(source: &Source, gaussians: usize) -> Result<Self> {
+        let mut backend = new_backend()?;
         backend.set_views(&source.views)?;
         backend.upload((source.cloud(gaussians)?).into())?;
         let (settings, views) = (source.settings, source.views.len());
