@@ -125,6 +125,8 @@ shaders! {
     PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, OVERLAP, BATCH_SPLAT];
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
+    // What the device's memory can do.
+    COPY = "shared/copy" + [];
     // How much of each pixel every Gaussian is.
     WEIGHT_SUM = "blend/weight_sum" + [SPLAT_SUMS];
 }

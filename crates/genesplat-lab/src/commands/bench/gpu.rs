@@ -1,11 +1,11 @@
 //! `genesplat-lab bench gpu`: what training steps and scoring cost on the graphics device, at several sizes,
 //! in one call.
 //!
-//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
+//! A whole run comes last, on the scene of `--data` or on the bundled one. Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
 //! the device's own, stage by stage, and the host's, over steps that are submitted one after the other
 //! without waiting, as in training. Scoring is measured as in `bench genetic`.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use genesplat::core::backend::StepReport;
@@ -17,12 +17,15 @@ use genesplat::terminal::output;
 use serde::Serialize;
 
 use super::genetic::{founders, just_reset, max_relative_difference};
+use super::whole::{self, WholeRun};
 use super::workload::Source;
 use super::{middle, print_figures};
 use crate::args::BenchGpuArgs;
 
-/// Fewest steps before a clock counts: buffers grow, kernels are compiled.
-const WARM_UP: u32 = 3;
+/// Fewest steps before a clock counts, and how long they go on at least: buffers grow, kernels are compiled, and
+/// a card's clock rises.
+const WARM_UP_STEPS: u32 = 3;
+const WARM_UP: Duration = Duration::from_secs(1);
 const SCORINGS: usize = 3;
 /// Bytes that are copied to measure the device's memory: more than its caches hold.
 const COPIED_BYTES: u64 = 256 << 20;
@@ -37,6 +40,8 @@ struct Report {
     /// Photos that steps go through; scoring is measured on the first.
     views: usize,
     sizes: Vec<Size>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    whole_run: Option<WholeRun>,
 }
 
 #[derive(Serialize)]
@@ -75,6 +80,7 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
         height,
         views: source.views.len(),
         sizes: Vec::new(),
+        whole_run: None,
     };
     drop(backend);
     print_figures(&report)?;
@@ -94,6 +100,12 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
                 report.sizes.push(size);
             }
         }
+    }
+    if args.iterations > 0 {
+        output::tell(&format!("training for {} iterations", args.iterations));
+        let whole_run = whole::measure(new_backend()?, source.scene.as_ref(), args.iterations)?;
+        print_figures(&whole_run)?;
+        report.whole_run = Some(whole_run);
     }
     args.json.write(&report)
 }
@@ -143,9 +155,7 @@ impl Bench {
     }
 
     fn measure(&mut self, args: &BenchGpuArgs, memory_bytes_per_second: f64) -> Result<Size> {
-        // Every view once, since each may need larger buffers than those before.
-        let warm = WARM_UP.max(self.views as u32);
-        self.steps(0, warm)?;
+        let warm = self.warm_up()?;
         let seconds = self.seconds(|bench| bench.steps(warm, args.steps))?;
         let milliseconds = 1e3 * seconds / f64::from(args.steps);
         let Timed { stages, visible, intersections } = self.stages(warm + args.steps, args.steps)?;
@@ -195,6 +205,17 @@ impl Bench {
             ratio: plain_seconds / scored_seconds,
             max_relative_difference: max_relative_difference(&scored, &plain),
         })
+    }
+
+    /// Returns the number of steps. Every view once, since each may need larger buffers than those before.
+    fn warm_up(&mut self) -> Result<u32> {
+        let (clock, mut made) = (Instant::now(), 0);
+        while made == 0 || clock.elapsed() < WARM_UP {
+            let more = WARM_UP_STEPS.max(self.views as u32);
+            self.steps(made, more)?;
+            made += more;
+        }
+        Ok(made)
     }
 
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {
