@@ -8,6 +8,7 @@ use genesplat_core::backend::StepReport;
 use genesplat_core::{Camera, DeviceState, Held, Mask, RenderSettings, StoredPhoto, TrainStep, View};
 
 use crate::Result;
+use crate::device::memory::Reading;
 use crate::device::timing::Timestamps;
 use crate::device::{Engine, Memory, Recorder};
 use crate::layout::{Optimiser, ViewPass};
@@ -61,10 +62,12 @@ pub struct GpuBackend {
     pub(crate) lists: Lists,
     pub(crate) pixels: Pixels,
     pub(crate) pool_buffers: PoolBuffers,
-    /// Steps submitted since the host last read the device's counters.
+    /// Steps that were submitted and are not known to be done.
     pub(crate) queued: Vec<TrainStep>,
-    /// Of the last step that was done.
-    pub(crate) report: StepReport,
+    /// Of the last step that is known to be done; `None` before the first.
+    pub(crate) report: Option<StepReport>,
+    /// What is being read without a wait, and how many of the queued steps it is about.
+    pub(crate) reading: Option<(Reading, usize)>,
     pub(crate) steps: u32,
     pub(crate) timestamps: Option<Timestamps>,
 }
@@ -89,7 +92,8 @@ impl GpuBackend {
             engine,
             views: Vec::new(),
             queued: Vec::new(),
-            report: StepReport::default(),
+            report: None,
+            reading: None,
             steps: 0,
             timestamps: None,
         })

@@ -9,7 +9,7 @@ use genesplat_core::BackendError;
 use wgpu::{
     Adapter, BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device,
     DeviceDescriptor, DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue,
-    ShaderModuleDescriptor, ShaderSource,
+    ShaderModuleDescriptor, ShaderSource, SubmissionIndex,
 };
 
 use crate::Result;
@@ -69,8 +69,8 @@ pub(crate) struct Engine {
     pub(crate) timestamps: bool,
     pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
-    /// How often the host has waited, submitted and asked for a kernel to run, and bytes that it has read back:
-    /// what tests count.
+    /// How often the host has waited for all that was submitted, has submitted and has asked for a kernel to run,
+    /// and bytes that it has read back: what tests count.
     pub(crate) waits: Cell<u32>,
     pub(crate) submissions: Cell<u32>,
     pub(crate) dispatches: Cell<u32>,
@@ -185,16 +185,21 @@ impl Engine {
     }
 
     /// Hands commands to the device, and before them all that was written; does not wait.
-    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
+    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) -> SubmissionIndex {
         self.usage.written.set(0);
         self.submissions.set(self.submissions.get() + 1);
-        self.queue.submit(commands);
+        self.queue.submit(commands)
     }
 
     /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
     pub(crate) fn wait(&self) -> Result<()> {
         self.waits.set(self.waits.get() + 1);
-        match self.device.poll(PollType::Wait { submission_index: None, timeout: Some(WAIT_MAX) }) {
+        self.wait_for(None)
+    }
+
+    /// The same for what was submitted up to here, if that is said: the device may go on with what came later.
+    pub(super) fn wait_for(&self, submission_index: Option<SubmissionIndex>) -> Result<()> {
+        match self.device.poll(PollType::Wait { submission_index, timeout: Some(WAIT_MAX) }) {
             Ok(_) => self.check(),
             Err(PollError::Timeout) => {
                 Err(self.is_lost(&format!("it has not answered for {} s", WAIT_MAX.as_secs())))

@@ -10,6 +10,7 @@ use bytemuck::Pod;
 use genesplat_core::Held;
 
 use crate::Result;
+use crate::device::memory::Reading;
 use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Part, Recorder, shaders};
 use crate::layout::{
     Counters, GRIDS, HALT_LONG_LIST, HALT_OVERFLOW, Optimiser, SPLAT_FLOATS, TALLIES, ViewPass,
@@ -171,6 +172,14 @@ impl Lists {
         ])?;
         self.clear_counters(engine);
         Ok((counters, values))
+    }
+
+    /// Asks for what the device has counted since this was last asked. A halt goes on until it is
+    /// [taken](Self::take_counters).
+    pub(crate) fn ask_for_counters(&self, engine: &Engine) -> Result<Reading> {
+        let reading = engine.begin_reading(&self.counters, size_of::<Counters>() as u64)?;
+        engine.write(&self.counters, std::mem::offset_of!(Counters, completed) as u64, &[0u32]);
+        Ok(reading)
     }
 
     pub(crate) fn clear_counters(&self, engine: &Engine) {
