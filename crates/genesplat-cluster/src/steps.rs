@@ -113,7 +113,7 @@ impl ClusterBackend {
                 return Err(self.diverged()?.unwrap_or(BackendError::LossNotFinite { steps }));
             }
             let intersections = totals.intersections.iter().map(|&count| count as usize).sum();
-            self.report = StepReport { loss, visible: totals.visible, intersections };
+            self.report = StepReport { loss, visible: totals.visible, intersections, steps_ago: 0 };
             self.loads[step.view] = totals.intersections;
         }
         Ok(())

@@ -150,7 +150,7 @@ pub struct TrainStep {
     pub statistics: StatisticsRequest,
 }
 
-/// What the last training step found.
+/// What a training step found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct StepReport {
     /// `0.8 · L1 + 0.2 · (1 − SSIM)`.
@@ -159,6 +159,13 @@ pub struct StepReport {
     pub visible: usize,
     /// Intersections of Gaussians with tiles.
     pub intersections: usize,
+    /// Steps that were asked for since.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub steps_ago: u32,
+}
+
+fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Why a backend could not do what it was asked.

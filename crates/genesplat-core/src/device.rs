@@ -136,6 +136,12 @@ pub trait Device: Renderer {
     /// What the last [`Device::train_step`] found; waits for it.
     fn report(&mut self) -> Result<StepReport, BackendError>;
 
+    /// What the last step found of which that is known by now: asks for that of the last one, and does not wait
+    /// for it. `None` where nothing is known yet.
+    fn recent_report(&mut self) -> Result<Option<StepReport>, BackendError> {
+        self.report().map(Some)
+    }
+
     /// Where there was no memory: waits for the queued steps, drops those that cannot be done, the last ones,
     /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;

@@ -21,13 +21,10 @@ shared_constants! {
     GROUP = 256,
     // Workgroups in the first dimension of a grid, few in tests; what is more goes to the second.
     GRID_WIDTH = if cfg!(test) { 3 } else { 32_768 },
-    // Elements that one workgroup of a prefix sum handles; keys that one of a radix sort does, few in tests;
-    // values of a digit.
-    SCAN_BLOCK = 8 * GROUP,
-    SORT_BLOCK = if cfg!(test) { 2 * GROUP } else { 16 * GROUP },
-    DIGITS = 256,
-    // Keys of one dispatch of a sort, few in tests: what is more goes to others.
-    SORT_PIECE = if cfg!(test) { 128 * SORT_BLOCK } else { 1 << 24 },
+    // Entries of a tile's list that a workgroup sorts at once: 8 KiB of its memory.
+    LIST_BLOCK = 1024,
+    // Sorted runs of a longer list that are merged at once.
+    RUNS = 32,
     // Tiles of a splat that one invocation lists, and whose gradients it sums, few in tests; those of wider
     // splats, a workgroup.
     SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
@@ -42,9 +39,10 @@ shared_constants! {
     OWN_GENES = u32::MAX,
 
     // Why the device changes nothing more: intersections that do not fit their buffers, a loss that is not
-    // finite.
+    // finite, a list that is longer than its merges reach.
     HALT_OVERFLOW = 1,
     HALT_NON_FINITE = 2,
+    HALT_LONG_LIST = 4,
     // Screen filters.
     FILTER_CLASSIC = 0,
     FILTER_ANTIALIASED = 1,
@@ -54,18 +52,17 @@ shared_constants! {
     SIGNAL_SIGNED = 1,
     SIGNAL_ABSOLUTE = 2,
     SIGNAL_PIXELS = 3,
-    // Slots of the lengths that only the device knows, and their number.
-    LENGTH_ROWS = 0,
-    LENGTH_VISIBLE = 1,
-    LENGTH_INTERSECTIONS = 2,
-    LENGTHS = 3,
+    // Slots of what is counted for the tile lists, and their number: splats, intersections, and whether these
+    // exceed 32 bits. The length of each tile's list comes behind them.
+    TALLY_VISIBLE = 0,
+    TALLY_INTERSECTIONS = 1,
+    TALLY_CARRY = 2,
+    TALLIES = 3,
     // Slots of the grids that only the device knows, and their number.
-    GRID_VISIBLE = 0,
-    GRID_VISIBLE_SCAN = 1,
-    GRID_DEPTH_SORT = 2,
-    GRID_INTERSECTIONS = 3,
-    GRID_TILE_SORT = 4,
-    GRIDS = 5,
+    GRID_INTERSECTIONS = 0,
+    GRID_LISTS = 1,
+    GRID_BLOCKS = 2,
+    GRIDS = 3,
     // Codes of `genesplat_core::Origin`; the second child of a split of either kind is one more.
     ORIGIN_KEPT = 0,
     ORIGIN_CLONE = 1,

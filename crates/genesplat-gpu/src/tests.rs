@@ -23,7 +23,6 @@ use genesplat_kernels::cpu::CpuBackend;
 
 use crate::GpuBackend;
 use crate::device::engine::Engine;
-use crate::device::probe::subgroup_width;
 
 /// Largest relative L2 distance between the twins, by stage. Both are f32, so this is rounding; what is
 /// sorted or counted must be equal.
@@ -81,7 +80,7 @@ fn the_comparison_can_fail() {
 
 /// A device, if this machine has one; in CI it must.
 pub(crate) fn engine() -> Option<Engine> {
-    match Engine::new() {
+    match Engine::at(None) {
         Ok(engine) => Some(engine),
         Err(error) => {
             assert!(
@@ -92,24 +91,6 @@ pub(crate) fn engine() -> Option<Engine> {
             None
         }
     }
-}
-
-/// A device with the kernels that it runs, and with those for devices without subgroups; none where there is
-/// no device.
-pub(crate) fn engines() -> Vec<Engine> {
-    engine().into_iter().chain(engine().map(Engine::without_subgroups)).collect()
-}
-
-/// Else tests of both kinds of kernels would be tests of one. `.ci/run` says how large the software driver
-/// makes them.
-#[test]
-fn subgroups_are_as_large_as_they_should_be() {
-    let (Some(engine), Some(wanted)) = (engine(), std::env::var_os("GENESPLAT_REQUIRE_SUBGROUPS")) else {
-        eprintln!("skipped: no device, or GENESPLAT_REQUIRE_SUBGROUPS does not say how large");
-        return;
-    };
-    let width = subgroup_width(&engine).unwrap().map(|width| width.to_string());
-    assert_eq!(width.as_deref(), wanted.to_str());
 }
 
 /// A backend with one view.

@@ -234,9 +234,10 @@ pub(crate) struct BenchGpuArgs {
     /// Individuals to score
     #[arg(long, value_name = "P", default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..))]
     pub(crate) population: u32,
-    /// Sort without subgroups, as on devices that have none, to see what they are worth on this one
-    #[arg(long)]
-    pub(crate) without_subgroups: bool,
+    /// Steps of a whole run on the scene of --data, or on the bundled one, which is trained and scored as by
+    /// `genesplat train`; 0 leaves it out
+    #[arg(long, value_name = "N", default_value_t = 7_000)]
+    pub(crate) iterations: u32,
     /// Processor threads to make the cloud with [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
     pub(crate) threads: Option<u16>,

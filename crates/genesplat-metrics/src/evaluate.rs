@@ -70,8 +70,8 @@ pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, 
 }
 
 /// Scores of what a device has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees
-/// both pictures black elsewhere.
-fn score_view(
+/// both pictures black elsewhere, and is left out where they are too small for it.
+pub fn score_view(
     view: &View,
     picture: &Photo,
     photo: &Photo,

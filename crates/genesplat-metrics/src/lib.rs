@@ -13,7 +13,7 @@ pub mod weights;
 use genesplat_core::Photo;
 
 pub use colour_fit::cc_psnr;
-pub use evaluate::{Evaluation, ViewScore, compare, evaluate};
+pub use evaluate::{Evaluation, ViewScore, compare, evaluate, score_view};
 pub use lpips::Lpips;
 pub use psnr::{PSNR_MAX_DB, psnr, psnr_of_mean, psnr_under};
 pub use ssim::ssim;

@@ -234,7 +234,6 @@ mod tests {
             buffer_bytes: 1 << 30,
             workgroup_bytes: 32 << 10,
             timestamps: true,
-            subgroups: true,
             unusable: unusable.map(str::to_owned),
         }
     }

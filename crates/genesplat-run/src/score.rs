@@ -1,13 +1,13 @@
 //! How well a splat reproduces photos.
 
 use std::path::Path;
-use std::slice;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
-use genesplat_core::{RenderSettings, View};
+use genesplat_core::{Photo, RenderSettings, Renderer, View};
 use genesplat_io::photos::write_own_png;
-use genesplat_metrics::{Evaluation, Lpips, cc_psnr, evaluate};
+use genesplat_metrics::{Evaluation, Lpips, ViewScore, cc_psnr, score_view};
+use rayon::prelude::*;
 
 use crate::TEST;
 use crate::device::Device;
@@ -44,8 +44,8 @@ pub fn evaluate_all(
 /// What is measured beside PSNR and SSIM, and the exposure of photos.
 type With<'a> = (Option<&'a Lpips>, Option<Light<'a>>);
 
-/// Scores one photo after the other, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders
-/// as they were scored are written to `test/` of the run in `folder`.
+/// Scores some photos at a time, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders as
+/// they were scored are written to `test/` of the run in `folder`.
 pub(crate) fn evaluate_until(
     stop: &AtomicBool,
     device: &mut Device,
@@ -55,30 +55,142 @@ pub(crate) fn evaluate_until(
     folder: Option<&Path>,
     mut bar: Bar,
 ) -> Result<Option<Scores>> {
-    let (mut scores, mut as_rendered, mut fitted) = (Vec::with_capacity(views.len()), Vec::new(), 0.0);
-    for ((done, view), name) in (1..).zip(views).zip(scene::picture_names(views)) {
+    let scoring = Scoring { settings, lpips, light, folder };
+    let names = scene::picture_names(views);
+    let mut scored = Vec::with_capacity(views.len());
+    let (mut views, mut names) = (views, &names[..]);
+    while !views.is_empty() {
         if stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        let view = &light.map_or_else(|| Ok(view.clone()), |light| light.as_taken(view))?;
-        let (photo, views) = (view.photo.read()?, slice::from_ref(view));
-        if let Some(light) = light {
-            let mut renderer = Lit { renderer: device.as_mut(), shade: light.mean() };
-            as_rendered.extend(evaluate(&mut renderer, views, settings, None, |_, _| ())?.views);
-        }
-        let shade = light.map_or(Shade::NONE, |light| light.of_photo(&view.name));
-        let mut renderer = Lit { renderer: device.as_mut(), shade };
-        let mut picture = None;
-        let of_one = evaluate(&mut renderer, views, settings, lpips, |_, render| picture = Some(render))?;
-        if let Some(picture) = picture {
-            fitted += cc_psnr(view.mask.as_deref(), &picture, &photo)?;
-            let path = Path::new(TEST).join(&name);
-            folder.map_or(Ok(()), |folder| write_own_png(folder, path, &picture))?;
-        }
-        scores.extend(of_one.views);
-        bar.set(done, String::new);
+        let count = scoring.photos_at_once(views);
+        scored.extend(scoring.score(device, &views[..count], &names[..count])?);
+        (views, names) = (&views[count..], &names[count..]);
+        bar.set(scored.len() as u64, String::new);
     }
-    let as_rendered = light.map(|_| Evaluation::from_views(as_rendered));
-    let cc_psnr = fitted / views.len() as f64;
+    let fitted: f64 = scored.iter().map(|of_photo| of_photo.cc_psnr).sum();
+    let cc_psnr = fitted / scored.len() as f64;
+    let (scores, as_rendered): (Vec<_>, Vec<_>) =
+        scored.into_iter().map(|of_photo| (of_photo.score, of_photo.as_rendered)).unzip();
+    let as_rendered = light.map(|_| Evaluation::from_views(as_rendered.into_iter().flatten().collect()));
     Ok(Some(Scores { scores: Evaluation::from_views(scores), as_rendered, cc_psnr }))
+}
+
+/// Pixels of the photos that are scored at once: each takes some 80 bytes.
+const PIXELS_AT_ONCE: u64 = 8 << 20;
+
+/// What all photos are scored with.
+struct Scoring<'a> {
+    settings: &'a RenderSettings,
+    lpips: Option<&'a Lpips>,
+    light: Option<Light<'a>>,
+    folder: Option<&'a Path>,
+}
+
+/// A view, with its photo as it was taken, and its render at the exposure of that photo and as it is.
+struct Rendered {
+    view: View,
+    picture: Photo,
+    as_rendered: Option<Photo>,
+}
+
+/// What a photo adds to [`Scores`].
+struct Scored {
+    score: ViewScore,
+    as_rendered: Option<ViewScore>,
+    cc_psnr: f64,
+}
+
+impl Scoring<'_> {
+    /// How many of the first of `views` have a core and memory for themselves; LPIPS needs all for one.
+    fn photos_at_once(&self, views: &[View]) -> usize {
+        let most = if self.lpips.is_some() { 1 } else { rayon::current_num_threads() };
+        let mut pixels = 0;
+        let fitting = views.iter().take(most).take_while(|view| {
+            pixels += u64::from(view.camera.width) * u64::from(view.camera.height);
+            pixels <= PIXELS_AT_ONCE
+        });
+        fitting.count().max(1)
+    }
+
+    /// Renders one after the other, then scores all at once, in the order of the views.
+    fn score(&self, device: &mut Device, views: &[View], names: &[String]) -> Result<Vec<Scored>> {
+        let rendered = views.iter().map(|view| self.render(device, view)).collect::<Result<Vec<_>>>()?;
+        rendered.par_iter().zip(names).map(|(rendered, name)| self.score_one(rendered, name)).collect()
+    }
+
+    fn render(&self, device: &mut Device, view: &View) -> Result<Rendered> {
+        let view = self.light.map_or_else(|| Ok(view.clone()), |light| light.as_taken(view))?;
+        let mut render = |shade: Shade| -> Result<Photo> {
+            let mut renderer = Lit { renderer: device.as_mut(), shade };
+            Ok(renderer.render(&view.camera, self.settings)?.to_photo())
+        };
+        let as_rendered = self.light.map(|light| render(light.mean())).transpose()?;
+        let picture = render(self.light.map_or(Shade::NONE, |light| light.of_photo(&view.name)))?;
+        Ok(Rendered { view, picture, as_rendered })
+    }
+
+    fn score_one(&self, Rendered { view, picture, as_rendered }: &Rendered, name: &str) -> Result<Scored> {
+        let photo = view.photo.read()?;
+        let plainly = |picture| score_view(view, picture, &photo, None);
+        let path = Path::new(TEST).join(name);
+        self.folder.map_or(Ok(()), |folder| write_own_png(folder, path, picture))?;
+        Ok(Scored {
+            score: score_view(view, picture, &photo, self.lpips)?,
+            as_rendered: as_rendered.as_ref().map(plainly).transpose()?,
+            cc_psnr: cc_psnr(view.mask.as_deref(), picture, &photo)?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_core::{Camera, Gaussians};
+
+    use super::*;
+    use crate::device::{self, DeviceChoice};
+
+    /// Three photos, of sizes of their own.
+    fn views() -> Vec<View> {
+        let view = |number: u32| {
+            let (width, height) = (40 + 8 * number, 32);
+            let rgb = (0..3 * width * height).map(|i| (i * (7 + number) % 251) as u8).collect();
+            let (camera, photo) = (Camera::at_origin(width, height, 40.0), Photo { width, height, rgb });
+            View { name: format!("{number}.png"), camera, photo: photo.into(), mask: None }
+        };
+        (0..3).map(view).collect()
+    }
+
+    fn scoring(settings: &RenderSettings) -> Scoring<'_> {
+        Scoring { settings, lpips: None, light: None, folder: None }
+    }
+
+    #[test]
+    fn scores_are_the_same_one_by_one_and_at_once() {
+        let mut device = device::open(DeviceChoice::Cpu).unwrap();
+        device.upload(Gaussians::zeros(0).into()).unwrap();
+        let (views, settings) = (views(), RenderSettings::default());
+        let names = scene::picture_names(&views);
+        let scoring = scoring(&settings);
+        let at_once = scoring.score(&mut device, &views, &names).unwrap();
+        for (index, found) in at_once.iter().enumerate() {
+            let alone = &scoring.score(&mut device, &views[index..=index], &names[index..=index]).unwrap()[0];
+            assert_eq!((&found.score, found.cc_psnr), (&alone.score, alone.cc_psnr));
+            assert_eq!(found.score.name, views[index].name);
+        }
+        let means = evaluate_all(&mut device, &views, &settings, None, None).unwrap();
+        let sum: f64 = at_once.iter().map(|found| found.score.psnr).sum();
+        assert_eq!((means.scores.views.len(), means.scores.psnr), (3, sum / 3.0));
+    }
+
+    #[test]
+    fn as_many_photos_are_scored_at_once_as_there_are_cores_and_memory() {
+        let settings = RenderSettings::default();
+        let scoring = scoring(&settings);
+        let of_side = |side: u32| View { camera: Camera::at_origin(side, side, 40.0), ..views().remove(0) };
+        let cores = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        let at_once = |side: u32| cores.install(|| scoring.photos_at_once(&vec![of_side(side); 5]));
+        assert_eq!([at_once(100), at_once(2000), at_once(9000)], [3, 2, 1]);
+        assert_eq!(scoring.photos_at_once(&[of_side(100)]), 1);
+    }
 }

@@ -3,8 +3,9 @@
 //! Training does not see the scores, and the time is billed to neither gradients nor evolution.
 
 use anyhow::Result;
-use genesplat_core::{CloudRenderer, View};
+use genesplat_core::{CloudRenderer, Photo, View};
 use genesplat_metrics::psnr_under;
+use rayon::prelude::*;
 
 use crate::exposure::{Exposure, Light, Shade};
 
@@ -30,14 +31,24 @@ impl<'a> TestCurve<'a> {
 
     /// Mean PSNR, dB; `None` when a photo is reproduced exactly.
     pub(crate) fn score(&self, renderer: &mut CloudRenderer<'_>) -> Result<Option<f64>> {
-        let mut sum = 0.0;
-        for view in self.views {
-            let mut image = renderer.render(&view.camera)?;
-            let shade = self.exposure.map(|exposure| Light::finished(exposure).of_photo(&view.name));
-            shade.unwrap_or(Shade::NONE).put_on(&mut image, &view.camera);
-            sum += psnr_under(view.mask.as_deref(), &image.to_photo(), &*view.photo.read()?)?;
+        let mut all = Vec::with_capacity(self.views.len());
+        // As many renders at a time as there are cores to compare them with their photos.
+        for views in self.views.chunks(rayon::current_num_threads()) {
+            let pictures: Vec<Photo> =
+                views.iter().map(|view| self.render(renderer, view)).collect::<Result<_>>()?;
+            let psnr = |(view, picture): (&View, &Photo)| -> Result<f64> {
+                Ok(psnr_under(view.mask.as_deref(), picture, &*view.photo.read()?)?)
+            };
+            all.extend(views.par_iter().zip(&pictures).map(psnr).collect::<Result<Vec<f64>>>()?);
         }
-        let mean = sum / self.views.len() as f64;
+        let mean = all.iter().sum::<f64>() / self.views.len() as f64;
         Ok(mean.is_finite().then_some(mean))
+    }
+
+    fn render(&self, renderer: &mut CloudRenderer<'_>, view: &View) -> Result<Photo> {
+        let mut image = renderer.render(&view.camera)?;
+        let shade = self.exposure.map(|exposure| Light::finished(exposure).of_photo(&view.name));
+        shade.unwrap_or(Shade::NONE).put_on(&mut image, &view.camera);
+        Ok(image.to_photo())
     }
 }

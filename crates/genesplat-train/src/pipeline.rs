@@ -16,6 +16,7 @@
 
 use std::sync::atomic::AtomicBool;
 
+use genesplat_core::backend::StepReport;
 use genesplat_core::{Device, Edit, StatisticsRequest, View};
 
 use crate::density::Plan;
@@ -108,18 +109,27 @@ impl Trainer<'_> {
         // The step is queued: a checkpoint from now on goes on after it.
         self.place.cursor.event = Event::RefreshVirtualViews;
         self.look_for_gaussians(i)?;
-        let is_due = i.is_multiple_of(REPORT_EVERY) || i == schedule.iterations;
-        let is_report = is_due || self.observer.wants_report(i);
+        let report = self.report_of(i)?;
         let log = StepLog {
             iteration: i,
             iterations: schedule.iterations,
             gaussians: self.backend.gaussian_count(),
             sh_degree: self.sh_degree(i),
             position_rate: self.rates(i).position,
-            report: if is_report { Some(self.backend.report()?) } else { None },
+            report,
         };
         self.observer.on_iteration(&log);
         Ok(())
+    }
+
+    /// What is known of the steps where it is time to say it. The device is waited for at the end, and where
+    /// somebody wants to know of this very step.
+    fn report_of(&mut self, i: u32) -> Result<Option<StepReport>, TrainError> {
+        if i == self.run.schedule.iterations || self.observer.wants_report(i) {
+            return Ok(Some(self.backend.report()?));
+        }
+        let is_due = i.is_multiple_of(REPORT_EVERY);
+        Ok(if is_due { self.backend.recent_report()? } else { None })
     }
 
     /// Fails at the end of the first pass over the photos where none has shown a Gaussian: the result would

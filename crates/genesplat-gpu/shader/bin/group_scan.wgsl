@@ -1,6 +1,5 @@
 // Prefix sum over the 256 invocations of a workgroup: sixteen sums of sixteen, then one of those. Few
 // barriers. A sum that exceeds 32 bits is the largest number instead, so that it exceeds every capacity, too.
-// Runs everywhere; twin of `group_scan_subgroups.wgsl`.
 
 var<workgroup> scan_values: array<u32, 256>;
 var<workgroup> scan_rows: array<u32, 17>;

@@ -9,8 +9,6 @@
 // Camera z of each splat, as bits: positive floats order as their bits do.
 @group(0) @binding(4) var<storage, read_write> depths: array<u32>;
 @group(0) @binding(5) var<storage, read_write> tile_counts: array<u32>;
-// 1 for each splat, what compaction sums.
-@group(0) @binding(6) var<storage, read_write> flags: array<u32>;
 
 // Step 2 sets it (`bin/colour.wgsl`), after the steps that a row has to make up for.
 fn colour_seen(row: u32, position: vec3<f32>) -> vec3<f32> {

@@ -1,6 +1,6 @@
-// The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths`,
-// `tile_counts` and `flags`, which the shader binds. `colour_seen` is a function of the shader, too: the
-// colour of a row as the camera sees it, before it is clamped.
+// The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths` and
+// `tile_counts`, which the shader binds. `colour_seen` is a function of the shader, too: the colour of a row
+// as the camera sees it, before it is clamped.
 fn write_splat(params: Params, row: u32, slot: u32) {
     let g = geometry_of(params);
     var splat: Splat;
@@ -21,5 +21,4 @@ fn write_splat(params: Params, row: u32, slot: u32) {
         depths[slot] = bitcast<u32>(g.t.z);
     }
     tile_counts[slot] = count | select(0u, SEEN_BIT, is_seen(g));
-    flags[slot] = u32(has_splat);
 }

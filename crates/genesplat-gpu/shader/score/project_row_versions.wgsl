@@ -13,7 +13,6 @@
 @group(0) @binding(6) var<storage, read_write> splats: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> depths: array<u32>;
 @group(0) @binding(8) var<storage, read_write> tile_counts: array<u32>;
-@group(0) @binding(9) var<storage, read_write> flags: array<u32>;
 
 fn colour_seen(row: u32, position: vec3<f32>) -> vec3<f32> {
     return sh_colour(row, view.sh_degree, position) + 0.5;

@@ -8,13 +8,13 @@ use genesplat_core::backend::StepReport;
 use genesplat_core::{Camera, DeviceState, Held, Mask, RenderSettings, StoredPhoto, TrainStep, View};
 
 use crate::Result;
+use crate::device::memory::Reading;
 use crate::device::timing::Timestamps;
 use crate::device::{Engine, Memory, Recorder};
-use crate::layout::{HALT_OVERFLOW, Optimiser, ViewPass};
+use crate::layout::{Optimiser, ViewPass};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::{INTERSECTION_GRADIENT_BYTES, Needs, Pixels, pack_photo};
 use crate::stages::score::PoolBuffers;
-use crate::stages::sort::sorts_right;
 use crate::state::State;
 
 #[derive(Clone, Copy, Debug)]
@@ -62,10 +62,12 @@ pub struct GpuBackend {
     pub(crate) lists: Lists,
     pub(crate) pixels: Pixels,
     pub(crate) pool_buffers: PoolBuffers,
-    /// Steps submitted since the host last read the device's counters.
+    /// Steps that were submitted and are not known to be done.
     pub(crate) queued: Vec<TrainStep>,
-    /// Of the last step that was done.
-    pub(crate) report: StepReport,
+    /// Of the last step that is known to be done; `None` before the first.
+    pub(crate) report: Option<StepReport>,
+    /// What is being read without a wait, and how many of the queued steps it is about.
+    pub(crate) reading: Option<(Reading, usize)>,
     pub(crate) steps: u32,
     pub(crate) timestamps: Option<Timestamps>,
 }
@@ -78,15 +80,7 @@ impl GpuBackend {
 
     /// The same on the device of this place in [`crate::adapters`].
     pub fn at(place: Option<usize>) -> Result<Self> {
-        let engine = Engine::at(place)?;
-        let is_right = !engine.abilities.subgroups || sorts_right(&engine)?;
-        Self::on(if is_right { engine } else { engine.without_subgroups() })
-    }
-
-    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu`
-    /// compares with.
-    pub fn without_subgroups() -> Result<Self> {
-        Self::on(Engine::new()?.without_subgroups())
+        Self::on(Engine::at(place)?)
     }
 
     pub(crate) fn on(engine: Engine) -> Result<Self> {
@@ -98,15 +92,11 @@ impl GpuBackend {
             engine,
             views: Vec::new(),
             queued: Vec::new(),
-            report: StepReport::default(),
+            report: None,
+            reading: None,
             steps: 0,
             timestamps: None,
         })
-    }
-
-    /// Whether its kernels sort and sum by subgroups.
-    pub fn uses_subgroups(&self) -> bool {
-        self.engine.abilities.subgroups
     }
 
     /// Bytes that this backend holds on the device.
@@ -148,7 +138,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, pass, optimiser);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
-        self.lists.clear_ranges(&mut recorder, pass);
+        self.lists.clear_tallies(&mut recorder, pass);
         self.lists.record(&mut recorder, &self.state, held, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
@@ -188,10 +178,9 @@ impl GpuBackend {
             submit(self)?;
             let (lists, engine) = self.lists_of(whose);
             let (counters, values) = lists.take_counters(engine, filled)?;
-            if counters.halted & HALT_OVERFLOW == 0 {
+            if !lists.grow(engine, &counters)? {
                 return Ok(values);
             }
-            lists.grow(engine, counters.wanted)?;
         }
     }
 

@@ -65,6 +65,7 @@ impl Device for GpuBackend {
         let state = upload.into_state();
         self.with_memory(|gpu| {
             gpu.state = State::upload(&gpu.engine, &state)?;
+            gpu.report = None;
             Ok(())
         })
     }
@@ -78,8 +79,8 @@ impl Device for GpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<()> {
-        if self.queued.len() >= QUEUED_STEPS_MAX {
-            self.finish_queued_steps()?;
+        if self.unasked_steps() >= QUEUED_STEPS_MAX {
+            self.ask_for_report()?;
         }
         self.engine.check()?;
         self.submit(step)?;
@@ -89,7 +90,13 @@ impl Device for GpuBackend {
 
     fn report(&mut self) -> Result<StepReport> {
         self.finish_queued_steps()?;
-        Ok(self.report)
+        Ok(self.report.unwrap_or_default())
+    }
+
+    fn recent_report(&mut self) -> Result<Option<StepReport>> {
+        self.ask_for_report()?;
+        let steps_ago = self.queued.len() as u32;
+        Ok(self.report.map(|report| StepReport { steps_ago, ..report }))
     }
 
     fn discard_queued_steps(&mut self) -> Result<usize> {

@@ -2,8 +2,9 @@
 //!
 //! **No read-back in a step.** The host does not wait for a step. When its tile lists do not fit their
 //! buffers, or its loss is not finite, the device sets a flag, and from there on no step changes anything.
-//! The host keeps the queued steps and reads the flag before it reads or edits anything, and every 32 steps.
-//! After an overflow it allocates more and submits the steps that were not done once more.
+//! The host keeps the queued steps and reads the flag before it reads or edits anything. Every 32 steps at
+//! least it asks for the flag, and reads what it asked for the time before: the device is busy meanwhile. After
+//! an overflow the host allocates more and submits the steps that were not done once more.
 //!
 //! **Out of memory.** Every verb allocates what it needs before it changes anything, so the run can be saved.
 //! Before it fails it is tried once more without the buffers of steps, scores and blends, which can be made
@@ -14,11 +15,11 @@ use genesplat_core::{BackendError, Held, TrainStep};
 
 use super::held::GpuBackend;
 use crate::Result;
-use crate::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
+use crate::layout::{Counters, HALT_NON_FINITE, Optimiser};
 use crate::stages::optimise::Optimise;
 use crate::stages::pixels::Needs;
 
-/// Steps after which the host reads the device's flag: a round trip.
+/// Steps after which the host asks for the device's flag; twice as many may be in the queue.
 pub(crate) const QUEUED_STEPS_MAX: usize = 32;
 
 impl GpuBackend {
@@ -57,9 +58,7 @@ impl GpuBackend {
                 let cloud = self.state.download(&self.engine)?;
                 return Err(BackendError::diverged(&cloud, self.steps));
             }
-            if counters.halted & HALT_OVERFLOW != 0 {
-                self.lists.grow(&self.engine, counters.wanted)?;
-            }
+            self.lists.grow(&self.engine, &counters)?;
             for step in self.queued.clone() {
                 self.submit(&step)?;
             }
@@ -67,20 +66,55 @@ impl GpuBackend {
         Ok(())
     }
 
+    /// Queued steps that nothing was asked about.
+    pub(crate) fn unasked_steps(&self) -> usize {
+        self.queued.len() - self.reading.as_ref().map_or(0, |(_, steps)| *steps)
+    }
+
+    /// Takes what was asked for the last time, which should be there by now, and asks about all queued steps.
+    pub(crate) fn ask_for_report(&mut self) -> Result<()> {
+        let halted = self.take_reading()?;
+        if halted != 0 {
+            // The steps that follow wait for what was lacking.
+            return self.finish_queued_steps();
+        }
+        if !self.queued.is_empty() {
+            self.reading = Some((self.lists.ask_for_counters(&self.engine)?, self.queued.len()));
+        }
+        Ok(())
+    }
+
+    /// Takes the steps off the queue of which an earlier question says that they are done; returns why the
+    /// device has halted, if it has.
+    fn take_reading(&mut self) -> Result<u32> {
+        let Some((reading, _)) = self.reading.take() else { return Ok(0) };
+        let mut counters = Counters::default();
+        self.engine.finish_reading(reading, bytemuck::bytes_of_mut(&mut counters))?;
+        self.note_done_steps(&counters);
+        Ok(counters.halted)
+    }
+
     /// Waits for what was submitted, and takes the steps that were done off the queue.
     pub(crate) fn take_done_steps(&mut self) -> Result<Counters> {
+        // Whatever it says of a halt, the counters still say.
+        self.take_reading()?;
         let counters = self.lists.take_counters::<u32>(&self.engine, None)?.0;
+        self.note_done_steps(&counters);
+        Ok(counters)
+    }
+
+    fn note_done_steps(&mut self, counters: &Counters) {
         let done: Vec<TrainStep> = self.queued.drain(..counters.completed as usize).collect();
         let last = done.iter().rev().find_map(|step| step.update.as_ref());
         self.steps = last.map_or(self.steps, |update| update.step);
         if !done.is_empty() {
-            self.report = StepReport {
+            self.report = Some(StepReport {
                 loss: counters.loss,
                 visible: counters.step_visible as usize,
                 intersections: counters.step_intersections as usize,
-            };
+                steps_ago: 0,
+            });
         }
-        Ok(counters)
     }
 
     /// Does `verb` after all steps; without memory for it, once more after everything that can be made again

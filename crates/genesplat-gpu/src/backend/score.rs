@@ -105,12 +105,12 @@ impl GpuBackend {
 
         let trained = self.state.trained.settled(&self.engine);
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        lists.clear_ranges(&mut recorder, &pass);
+        lists.clear_tallies(&mut recorder, &pass);
         pool.record_project(&mut recorder, trained, lists);
         lists.record_bin(&mut recorder, &pass);
 
         recorder.stage("score_rasterise");
-        let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
+        let (intersections, splats) = (&lists.intersections, &lists.intersection_splats);
         let parts =
             [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
         lists.run_tiles(&mut recorder, &pass, rasterise_individuals(layers), &parts);

@@ -37,8 +37,6 @@ pub struct AdapterReport {
     pub workgroup_bytes: u32,
     /// Times stages (for `bench gpu`).
     pub timestamps: bool,
-    /// Has subgroups, to sort and sum by.
-    pub subgroups: bool,
     /// Why it cannot be used; `None` when it can.
     pub unusable: Option<String>,
 }
@@ -128,7 +126,6 @@ fn report(adapter: &Adapter) -> AdapterReport {
         buffer_bytes: limits.max_buffer_size,
         workgroup_bytes: limits.max_compute_workgroup_storage_size,
         timestamps: adapter.features().contains(Features::TIMESTAMP_QUERY),
-        subgroups: adapter.features().contains(Features::SUBGROUP),
         unusable: unmet(&limits),
     }
 }

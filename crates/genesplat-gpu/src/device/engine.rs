@@ -9,13 +9,12 @@ use genesplat_core::BackendError;
 use wgpu::{
     Adapter, BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device,
     DeviceDescriptor, DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue,
-    ShaderModuleDescriptor, ShaderSource,
+    ShaderModuleDescriptor, ShaderSource, SubmissionIndex,
 };
 
 use crate::Result;
 use crate::device::MemoryUse;
 use crate::device::adapter::{self, WORKGROUP_BYTES};
-use crate::device::probe;
 #[cfg(test)]
 use crate::device::shaders::kernel_texts;
 use crate::device::shaders::{Abilities, Shader};
@@ -70,9 +69,11 @@ pub(crate) struct Engine {
     pub(crate) timestamps: bool,
     pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
-    /// How often the host has waited and submitted, and bytes that it has read back: what tests count.
+    /// How often the host has waited for all that was submitted, has submitted and has asked for a kernel to run,
+    /// and bytes that it has read back: what tests count.
     pub(crate) waits: Cell<u32>,
     pub(crate) submissions: Cell<u32>,
+    pub(crate) dispatches: Cell<u32>,
     pub(crate) read_bytes: Cell<u64>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     failures: Arc<Failures>,
@@ -92,10 +93,6 @@ struct Failures {
 }
 
 impl Engine {
-    pub(crate) fn new() -> Result<Self> {
-        Self::at(None)
-    }
-
     /// The device of this place, or the best.
     pub(crate) fn at(place: Option<usize>) -> Result<Self> {
         Self::open(adapter::chosen(place)?, WORKGROUP_BYTES)
@@ -105,7 +102,7 @@ impl Engine {
     pub(crate) fn open(adapter: &Adapter, most_workgroup_bytes: u32) -> Result<Self> {
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
-        let features = adapter.features() & (Features::TIMESTAMP_QUERY | Features::SUBGROUP);
+        let features = adapter.features() & Features::TIMESTAMP_QUERY;
         let workgroup_bytes = adapter.limits().max_compute_workgroup_storage_size.min(most_workgroup_bytes);
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
@@ -122,7 +119,7 @@ impl Engine {
             .map_err(|error| BackendError::Unsupported(format!("{name} cannot be opened: {error}")))?;
         let limits = device.limits();
         let binding_bytes = limits.max_storage_buffer_binding_size.min(BINDING_BYTES_MAX);
-        let engine = Self {
+        Ok(Self {
             binding_bytes,
             buffer_bytes: limits.max_buffer_size,
             window_rows: binding_bytes / (4 * u64::from(SH_FLOATS)),
@@ -137,18 +134,17 @@ impl Engine {
             queue,
             name,
             timestamps: features.contains(Features::TIMESTAMP_QUERY),
-            abilities: Abilities { subgroups: true, workgroup_bytes },
+            abilities: Abilities { workgroup_bytes },
             usage: MemoryUse::default(),
             waits: Cell::default(),
             submissions: Cell::default(),
+            dispatches: Cell::default(),
             read_bytes: Cell::default(),
             kernels: RefCell::default(),
             staging: OnceCell::new(),
             #[cfg(test)]
             rewrite: None,
-        };
-        let trusts = features.contains(Features::SUBGROUP) && probe::subgroup_width(&engine)?.is_some();
-        Ok(if trusts { engine } else { engine.without_subgroups() })
+        })
     }
 
     /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting
@@ -163,14 +159,6 @@ impl Engine {
     #[cfg(test)]
     pub(crate) fn with_instructions(mut self, most: u64) -> Self {
         self.instructions_max = most;
-        self
-    }
-
-    /// The same with the kernels for devices without subgroups.
-    pub(crate) fn without_subgroups(mut self) -> Self {
-        self.abilities.subgroups = false;
-        self.kernels.borrow_mut().clear();
-        self.usage.bound.forget();
         self
     }
 
@@ -197,16 +185,21 @@ impl Engine {
     }
 
     /// Hands commands to the device, and before them all that was written; does not wait.
-    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
+    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) -> SubmissionIndex {
         self.usage.written.set(0);
         self.submissions.set(self.submissions.get() + 1);
-        self.queue.submit(commands);
+        self.queue.submit(commands)
     }
 
     /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
     pub(crate) fn wait(&self) -> Result<()> {
         self.waits.set(self.waits.get() + 1);
-        match self.device.poll(PollType::Wait { submission_index: None, timeout: Some(WAIT_MAX) }) {
+        self.wait_for(None)
+    }
+
+    /// The same for what was submitted up to here, if that is said: the device may go on with what came later.
+    pub(super) fn wait_for(&self, submission_index: Option<SubmissionIndex>) -> Result<()> {
+        match self.device.poll(PollType::Wait { submission_index, timeout: Some(WAIT_MAX) }) {
             Ok(_) => self.check(),
             Err(PollError::Timeout) => {
                 Err(self.is_lost(&format!("it has not answered for {} s", WAIT_MAX.as_secs())))

@@ -3,12 +3,12 @@
 use std::cell::Cell;
 use std::error::Error;
 use std::rc::Rc;
-use std::sync::mpsc;
+use std::sync::mpsc::{self, Receiver};
 
 use bytemuck::Pod;
 use genesplat_core::BackendError;
 use genesplat_core::memory::ensure_memory;
-use wgpu::{Buffer, BufferDescriptor, BufferUsages, ErrorFilter, MapMode};
+use wgpu::{Buffer, BufferDescriptor, BufferUsages, ErrorFilter, MapMode, SubmissionIndex};
 
 use crate::Result;
 use crate::device::Engine;
@@ -101,6 +101,15 @@ impl Default for MemoryUse {
             bound: Rc::default(),
         }
     }
+}
+
+type Mapped = std::result::Result<(), wgpu::BufferAsyncError>;
+
+/// Bytes on their way to the host.
+pub(crate) struct Reading {
+    staging: Buffer,
+    mapped: Receiver<Mapped>,
+    submission: SubmissionIndex,
 }
 
 /// A part of a buffer, from a byte on, and where it goes on the host.
@@ -237,6 +246,36 @@ impl Engine {
         Ok(self.staging.get_or_init(|| made).clone())
     }
 
+    /// Copies the first `bytes` of a buffer, after what was submitted before, to where the host can read them
+    /// later.
+    pub(crate) fn begin_reading(&self, memory: &Memory, bytes: u64) -> Result<Reading> {
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let staging = self.create("a small read-back", bytes, usage)?;
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        encoder.copy_buffer_to_buffer(&memory.buffer, 0, &staging, 0, bytes);
+        self.read_bytes.set(self.read_bytes.get() + bytes);
+        let submission = self.submit([encoder.finish()]);
+        let mapped = map(&staging);
+        Ok(Reading { staging, mapped, submission })
+    }
+
+    /// Fills `target`, for which the reading must be as large; waits for what was submitted before it began, and
+    /// for nothing that came later.
+    pub(crate) fn finish_reading(&self, reading: Reading, target: &mut [u8]) -> Result<()> {
+        let Reading { staging, mapped, submission } = reading;
+        self.wait_for(Some(submission))?;
+        self.when_mapped(&mapped)?;
+        let view = staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
+        target.copy_from_slice(&view);
+        Ok(())
+    }
+
+    /// An error where the host cannot read a buffer that it has waited for.
+    fn when_mapped(&self, mapped: &Receiver<Mapped>) -> Result<()> {
+        let is_lost = |error: &dyn Error| self.is_lost(&error.to_string());
+        mapped.recv().map_err(|error| is_lost(&error))?.map_err(|error| is_lost(&error))
+    }
+
     /// Pieces that fit `staging`, with one wait.
     fn read_pieces(&self, staging: &Buffer, pieces: Vec<Piece>) -> Result<()> {
         let mut encoder = self.device.create_command_encoder(&Default::default());
@@ -248,15 +287,11 @@ impl Engine {
         }
         self.read_bytes.set(self.read_bytes.get() + at);
         self.submit([encoder.finish()]);
-        let (sender, receiver) = mpsc::channel();
-        staging.slice(..).map_async(MapMode::Read, move |result| {
-            // The receiver is gone only when waiting has failed already.
-            let _ = sender.send(result);
-        });
+        let mapped = map(staging);
         self.wait()?;
-        let is_lost = |error: &dyn Error| self.is_lost(&error.to_string());
-        receiver.recv().map_err(|error| is_lost(&error))?.map_err(|error| is_lost(&error))?;
-        let mapped = staging.slice(..).get_mapped_range().map_err(|error| is_lost(&error))?;
+        self.when_mapped(&mapped)?;
+        let mapped =
+            staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
         let mut rest = &mapped[..];
         for (_, _, target) in pieces {
             let (bytes, behind) = rest.split_at(target.len());
@@ -267,6 +302,16 @@ impl Engine {
         staging.unmap();
         Ok(())
     }
+}
+
+/// Asks to read a buffer, once what was submitted is done.
+fn map(staging: &Buffer) -> Receiver<Mapped> {
+    let (sender, receiver) = mpsc::channel();
+    staging.slice(..).map_async(MapMode::Read, move |result| {
+        // The receiver is gone only when nobody waits any more.
+        let _ = sender.send(result);
+    });
+    receiver
 }
 
 fn whole_vectors(bytes: u64) -> u64 {

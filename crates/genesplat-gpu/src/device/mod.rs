@@ -5,7 +5,6 @@ mod bound;
 pub(crate) mod engine;
 pub(crate) mod memory;
 mod prelude;
-pub(crate) mod probe;
 pub(crate) mod recorder;
 pub(crate) mod shaders;
 pub(crate) mod timing;

@@ -67,12 +67,6 @@ impl<'a> Recorder<'a> {
         self.encoder.clear_buffer(&memory.buffer, 0, Some(bytes.next_multiple_of(16).min(memory.bytes)));
     }
 
-    /// Copies all of a memory into another of the same size.
-    pub(crate) fn copy(&mut self, from: &Memory, to: &Memory) {
-        self.pass = None;
-        self.encoder.copy_buffer_to_buffer(&from.buffer, 0, &to.buffer, 0, from.bytes);
-    }
-
     /// Runs a kernel; `parts` are its bindings in order.
     pub(crate) fn run(&mut self, shader: &'static Shader, parts: &[Part], grid: Grid) {
         self.run_with(shader, &[], parts, grid);
@@ -108,6 +102,7 @@ impl<'a> Recorder<'a> {
             self.submit_so_far();
         }
         self.instructions += instructions;
+        self.engine.dispatches.set(self.engine.dispatches.get() + 1);
         let (kernel, group) = self.engine.bound(shader, overrides, parts);
         if self.pass.is_none() {
             self.pass = Some(self.begin_pass());

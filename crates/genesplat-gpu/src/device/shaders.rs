@@ -1,8 +1,7 @@
 //! The table of shaders: which texts make each of them.
 //!
 //! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point is
-//! `main`. Two of the shared parts exist twice, with subgroups and without. Everything is compiled in, and
-//! validated by a test that needs no device.
+//! `main`. Everything is compiled in, and validated by a test that needs no device.
 
 use crate::device::adapter::WORKGROUP_BYTES;
 use crate::device::prelude::prelude;
@@ -12,7 +11,7 @@ use crate::device::unroll::unrolled;
 pub(crate) struct Shader {
     /// Path of its file in `shader/`, without the extension.
     pub(crate) name: &'static str,
-    parts: &'static [Part],
+    parts: &'static [&'static str],
 }
 
 impl Shader {
@@ -23,7 +22,7 @@ impl Shader {
 
     pub(super) fn text(&self, abilities: Abilities) -> String {
         let mut text = prelude(abilities);
-        text.extend(self.parts.iter().map(|part| if abilities.subgroups { part.with } else { part.without }));
+        text.extend(self.parts.iter().copied());
         text
     }
 }
@@ -31,7 +30,6 @@ impl Shader {
 /// What a device can do, as far as shaders differ by it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Abilities {
-    pub(crate) subgroups: bool,
     /// Memory that a workgroup shares, bytes.
     pub(crate) workgroup_bytes: u32,
 }
@@ -43,24 +41,11 @@ impl Abilities {
     }
 }
 
-/// Text of a shader with subgroups, and without them.
-#[derive(Debug)]
-struct Part {
-    with: &'static str,
-    without: &'static str,
-}
-
-impl Part {
-    const fn new(text: &'static str) -> Self {
-        Self { with: text, without: text }
-    }
-}
-
 macro_rules! shaders {
     ($($name:ident = $file:literal + [$($part:ident),*];)*) => {
         $(pub(crate) static $name: Shader = Shader {
             name: $file,
-            parts: &[parts::COMMON, $(parts::$part,)* Part::new(include_str!(concat!("../../shader/", $file, ".wgsl")))],
+            parts: &[parts::COMMON, $(parts::$part,)* include_str!(concat!("../../shader/", $file, ".wgsl"))],
         };)*
 
         static ALL: &[&Shader] = &[$(&$name),*];
@@ -69,27 +54,13 @@ macro_rules! shaders {
 
 /// What shaders share.
 mod parts {
-    use super::Part;
-
-    macro_rules! text {
-        ($file:literal) => {
-            include_str!(concat!("../../shader/", $file))
-        };
-    }
     macro_rules! parts {
         ($($name:ident = $file:literal;)*) => {
-            $(pub(super) const $name: Part = Part::new(text!($file));)*
+            $(pub(super) const $name: &str = include_str!(concat!("../../shader/", $file));)*
         };
     }
-    pub(super) const GROUP_SCAN: Part = Part {
-        with: concat!(text!("shared/subgroup.wgsl"), text!("bin/group_scan_subgroups.wgsl")),
-        without: text!("bin/group_scan.wgsl"),
-    };
-    pub(super) const MARK_DIGIT: Part =
-        Part { with: text!("bin/mark_digit_subgroups.wgsl"), without: text!("bin/mark_digit.wgsl") };
     parts! {
         COMMON = "shared/common.wgsl";
-        SUBGROUP = "shared/subgroup.wgsl";
         SPLAT = "shared/splat.wgsl";
         GEOMETRY = "shared/geometry.wgsl";
         COLOUR = "shared/colour.wgsl";
@@ -102,7 +73,8 @@ mod parts {
         RANDOM = "shared/random.wgsl";
         OVERLAP = "bin/overlap.wgsl";
         WRITE_SPLAT = "bin/write_splat.wgsl";
-        GRIDS = "bin/grids.wgsl";
+        GROUP_SCAN = "bin/group_scan.wgsl";
+        LIST_ORDER = "bin/list_order.wgsl";
         SSIM = "loss/ssim.wgsl";
         HALO = "loss/halo.wgsl";
         ADAM_STEP = "optimise/adam_step.wgsl";
@@ -115,22 +87,12 @@ shaders! {
     // From a cloud to splats.
     PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, WRITE_SPLAT];
     SPLAT_COLOUR = "bin/colour" + [SPLAT, COLOUR, SH_ROW, ADAM_STEP, COLOUR_STEPS, MAKE_UP];
-    // Prefix sums.
-    SCAN_SUMS = "bin/scan_sums" + [GROUP_SCAN];
-    SCAN_BLOCKS = "bin/scan_blocks" + [GROUP_SCAN];
-    SCAN_APPLY = "bin/scan_apply" + [GROUP_SCAN];
-    // What subgroups really do.
-    PROBE_SUBGROUPS = "shared/probe_subgroups" + [SUBGROUP];
-    // Splats without gaps, sorted by depth; their intersections with tiles, sorted by tile.
-    COMPACT = "bin/compact" + [];
-    PLAN_VISIBLE = "bin/plan_visible" + [GRIDS];
-    PLAN_INTERSECTIONS = "bin/plan_intersections" + [GRIDS];
-    RADIX_COUNT = "bin/radix_count" + [];
-    DIGIT_SCAN = "bin/digit_scan" + [GROUP_SCAN];
-    RADIX_SCATTER = "bin/radix_scatter" + [GROUP_SCAN, MARK_DIGIT];
-    TILE_COUNTS_BY_DEPTH = "bin/tile_counts_by_depth" + [];
+    // From splats to a list for each tile, nearest first.
     EMIT = "bin/emit" + [SPLAT, OVERLAP, GROUP_SCAN];
-    TILE_RANGES = "bin/tile_ranges" + [];
+    PLAN_LISTS = "bin/plan_lists" + [GROUP_SCAN];
+    FILL_LISTS = "bin/fill_lists" + [SPLAT];
+    SORT_LISTS = "bin/sort_lists" + [LIST_ORDER];
+    MERGE_LISTS = "bin/merge_lists" + [LIST_ORDER];
     // From splats to a loss, and back to gradients of intersections.
     RASTERISE = "blend/rasterise" + [SPLAT, OVERLAP, BATCH_SPLAT];
     RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, OVERLAP, BATCH_SPLAT];
@@ -163,13 +125,15 @@ shaders! {
     PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, OVERLAP, BATCH_SPLAT];
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
+    // What the device's memory can do.
+    COPY = "shared/copy" + [];
     // How much of each pixel every Gaussian is.
     WEIGHT_SUM = "blend/weight_sum" + [SPLAT_SUMS];
 }
 
-/// Name and WGSL of every kernel, as a device with subgroups compiles it: what tools count.
+/// Name and WGSL of every kernel, as devices with 24 KiB a workgroup compile it: what tools count.
 pub fn kernel_sources() -> impl Iterator<Item = (&'static str, String)> {
-    let abilities = Abilities { subgroups: true, workgroup_bytes: WORKGROUP_BYTES };
+    let abilities = Abilities { workgroup_bytes: WORKGROUP_BYTES };
     ALL.iter().map(move |shader| (shader.name, shader.source(abilities)))
 }
 
@@ -188,16 +152,11 @@ mod tests {
     use crate::device::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES_MIN};
     use crate::layout::{Counters, Edit, Optimiser, ViewPass, Window};
 
-    const PLAIN: Abilities = Abilities { subgroups: false, workgroup_bytes: WORKGROUP_BYTES_MIN };
+    const PLAIN: Abilities = Abilities { workgroup_bytes: WORKGROUP_BYTES_MIN };
 
-    /// All that run on some device, with and without subgroups.
-    fn all(workgroup_bytes: u32) -> impl Iterator<Item = (&'static Shader, String, Capabilities)> {
-        let ways = [(false, Capabilities::empty()), (true, Capabilities::SUBGROUP)];
-        ways.into_iter().flat_map(move |(subgroups, capabilities)| {
-            let abilities = Abilities { subgroups, workgroup_bytes };
-            let runs = move |shader: &&&Shader| subgroups || shader.name != PROBE_SUBGROUPS.name;
-            ALL.iter().filter(runs).map(move |&shader| (shader, shader.source(abilities), capabilities))
-        })
+    /// All of them, for devices with so much memory.
+    fn all(workgroup_bytes: u32) -> impl Iterator<Item = (&'static Shader, String)> {
+        ALL.iter().map(move |&shader| (shader, shader.source(Abilities { workgroup_bytes })))
     }
 
     fn parse(shader: &Shader, source: &str) -> naga::Module {
@@ -209,10 +168,9 @@ mod tests {
     #[test]
     fn every_shader_is_valid() {
         assert!(ALL.len() > 20, "the table lists all shaders");
-        for (shader, source, capabilities) in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES].into_iter().flat_map(all)
-        {
+        for (shader, source) in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES].into_iter().flat_map(all) {
             let module = parse(shader, &source);
-            let validated = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
+            let validated = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
             if let Err(error) = validated {
                 panic!("{}: {}", shader.name, error.emit_to_string(&source));
             }
@@ -223,7 +181,7 @@ mod tests {
     fn no_shader_needs_more_than_devices_are_asked_for() {
         for most in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES] {
             let (mut buffers, mut bytes) = (0, 0);
-            for module in all(most).map(|(shader, source, _)| parse(shader, &source)) {
+            for module in all(most).map(|(shader, source)| parse(shader, &source)) {
                 let of = |wanted: fn(AddressSpace) -> bool| {
                     module
                         .global_variables

@@ -1,23 +1,21 @@
 //! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing
 //! how many.
 //!
-//! The device counts splats and intersections, and later dispatches take their sizes from there. Buffers of
-//! intersections are sized by what earlier views needed; a view that needs more is submitted once more. The
-//! order is that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that
-//! order, and a stable sort by tile keeps it.
-
-use std::cell::Cell;
+//! Splats count themselves into the lists of their tiles in any order, and every list is sorted by itself
+//! ([`super::order`]). The device counts splats and intersections, and later dispatches take their sizes from
+//! there. Buffers of intersections are sized by what earlier views needed; a view that needs more is submitted
+//! once more.
 
 use bytemuck::Pod;
 use genesplat_core::Held;
 
 use crate::Result;
+use crate::device::memory::Reading;
 use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Part, Recorder, shaders};
 use crate::layout::{
-    Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
-    LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, Optimiser, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
+    Counters, GRIDS, HALT_LONG_LIST, HALT_OVERFLOW, Optimiser, SPLAT_FLOATS, TALLIES, ViewPass,
 };
-use crate::stages::sort::{DIGIT_BITS, Sort, Sorter};
+use crate::stages::order::{Order, merges_for};
 use crate::stages::tiles::reserve_first_rows;
 use crate::state::{LateColours, ROW_INSTRUCTIONS, State};
 
@@ -40,26 +38,28 @@ pub(crate) struct Lists {
     pub(crate) counters: Memory,
     /// Numbers of tile rows, for stages that take some of them at once.
     pub(super) first_tile_rows: Memory,
-    /// Rows that the device has been told of.
-    told_rows: Cell<Option<u32>>,
-    sorter: Sorter,
     pub(crate) splats: Memory,
     /// Camera z of each splat, as bits `[N]`.
     pub(crate) depths: Memory,
     /// Tiles that each row reaches, and whether it is seen `[N]`.
     pub(crate) tile_counts: Memory,
-    /// 1 for each row that has a splat; later tile counts, nearest splat first `[N]`.
-    pub(crate) flags: Memory,
-    /// Sums of what comes before in `flags` `[N]`.
-    offsets: Memory,
+    /// `TALLY_` slots, then the length of each tile's list `[tiles]`.
+    pub(super) tallies: Memory,
+    /// Grids that only the device knows: a slot for each `GRID_` constant.
+    pub(super) grids: Memory,
     pub(crate) intersection_splats: Memory,
     /// First intersection of each splat `[N]`.
     pub(crate) first_intersections: Memory,
     /// Begin and end of each tile's intersections `[tiles]`.
     pub(crate) ranges: Memory,
+    /// Numbers of the intersections, tile after tile, nearest first `[I]`.
+    pub(crate) intersections: Memory,
+    pub(super) order: Order,
     rows: u64,
     pub(crate) capacity: u64,
     pub(crate) wanted_capacity: Option<u64>,
+    /// Merges of long lists that views needed so far.
+    pub(super) merges: u32,
     /// Bytes of an intersection in the widest buffer that a kernel sees all of.
     intersection_bytes: u64,
 }
@@ -73,30 +73,32 @@ impl Lists {
             view: engine.allocate("the view", OPTIMISER_AT as u64 + size_of::<Optimiser>() as u64)?,
             counters: engine.allocate("counters", size_of::<Counters>() as u64)?,
             first_tile_rows: empty("numbers of tile rows")?,
-            told_rows: Cell::new(None),
-            sorter: Sorter::new(engine)?,
             splats: empty("splats")?,
             depths: empty("depths")?,
             tile_counts: empty("tile counts")?,
-            flags: empty("flags")?,
-            offsets: empty("offsets")?,
+            tallies: empty("lengths of tile lists")?,
+            grids: engine.allocate("grids", 12 * u64::from(GRIDS))?,
             intersection_splats: empty("splats of intersections")?,
             first_intersections: empty("first intersections")?,
             ranges: empty("tile ranges")?,
+            intersections: empty("tile lists")?,
+            order: Order::new(engine)?,
             rows: 0,
             capacity: 0,
             wanted_capacity: None,
+            merges: 1,
             intersection_bytes,
         })
     }
 
     pub(crate) fn release(&mut self) {
         (self.rows, self.capacity) = (0, 0);
-        self.sorter.release();
-        let Self { splats, depths, tile_counts, flags, offsets, .. } = self;
-        let of_rows = [splats, depths, tile_counts, flags, offsets];
-        let others = [&mut self.intersection_splats, &mut self.first_intersections, &mut self.ranges];
-        of_rows.into_iter().chain(others).for_each(Memory::release);
+        self.order.release();
+        let Self { splats, depths, tile_counts, first_intersections, .. } = self;
+        let of_rows = [splats, depths, tile_counts, first_intersections];
+        let of_tiles = [&mut self.tallies, &mut self.ranges];
+        let of_intersections = [&mut self.intersection_splats, &mut self.intersections];
+        of_rows.into_iter().chain(of_tiles).chain(of_intersections).for_each(Memory::release);
     }
 
     /// Memory for the rows and tiles of a view, and for as many intersections as were needed so far.
@@ -105,6 +107,7 @@ impl Lists {
         let guess = (FIRST_INTERSECTIONS_PER_ROW * rows).max(INTERSECTIONS_MIN);
         let capacity = self.wanted_capacity.unwrap_or(guess).min(self.capacity_max(engine));
         engine.reserve(&mut self.ranges, 8 * view.tiles())?;
+        engine.reserve(&mut self.tallies, tally_bytes(view))?;
         reserve_first_rows(engine, &mut self.first_tile_rows, view)?;
         if rows > self.rows || capacity > self.capacity || self.splats.bytes == 0 {
             self.enlarge(engine, rows.max(self.rows), capacity.max(self.capacity))?;
@@ -116,25 +119,37 @@ impl Lists {
         // Until all of it is there, nothing is.
         (self.rows, self.capacity) = (0, 0);
         engine.reserve(&mut self.splats, 4 * u64::from(SPLAT_FLOATS) * rows)?;
-        let Self { depths, tile_counts, flags, offsets, first_intersections, .. } = self;
-        for memory in [depths, tile_counts, flags, offsets, first_intersections] {
+        for memory in [&mut self.depths, &mut self.tile_counts, &mut self.first_intersections] {
             engine.reserve(memory, 4 * rows)?;
         }
-        engine.reserve(&mut self.intersection_splats, 4 * capacity)?;
-        self.sorter.reserve(engine, rows, rows.max(capacity))?;
+        for memory in [&mut self.intersection_splats, &mut self.intersections] {
+            engine.reserve(memory, 4 * capacity)?;
+        }
+        self.order.reserve(engine, capacity)?;
         (self.rows, self.capacity) = (rows, capacity);
         Ok(())
     }
 
-    /// From the next view on, memory for the intersections that the device wanted, and a quarter more.
-    pub(crate) fn grow(&mut self, engine: &Engine, wanted: u32) -> Result<()> {
-        let (wanted, most) = (u64::from(wanted), self.capacity_max(engine));
-        if wanted > most {
-            let bytes = self.intersection_bytes * wanted;
-            return Err(engine.out_of_memory("the tile lists of one view", bytes));
+    /// From the next view on, what the device lacked: memory for the intersections that it wanted, and a
+    /// quarter more; merges for longer lists. False where it lacked nothing.
+    pub(crate) fn grow(&mut self, engine: &Engine, counters: &Counters) -> Result<bool> {
+        let (wanted, most) = (u64::from(counters.wanted), self.capacity_max(engine));
+        if counters.halted & HALT_OVERFLOW != 0 {
+            if wanted > most {
+                let bytes = self.intersection_bytes * wanted;
+                return Err(engine.out_of_memory("the tile lists of one view", bytes));
+            }
+            self.wanted_capacity = Some((wanted + wanted / 4).min(most));
         }
-        self.wanted_capacity = Some((wanted + wanted / 4).min(most));
-        Ok(())
+        if counters.halted & HALT_LONG_LIST != 0 {
+            self.merges += 1;
+        }
+        Ok(counters.halted & (HALT_OVERFLOW | HALT_LONG_LIST) != 0)
+    }
+
+    /// Merges after the sort: no more than the longest list that has room can need.
+    pub(super) fn merges(&self) -> u32 {
+        self.merges.min(merges_for(self.capacity))
     }
 
     fn capacity_max(&self, engine: &Engine) -> u64 {
@@ -159,6 +174,14 @@ impl Lists {
         Ok((counters, values))
     }
 
+    /// Asks for what the device has counted since this was last asked. A halt goes on until it is
+    /// [taken](Self::take_counters).
+    pub(crate) fn ask_for_counters(&self, engine: &Engine) -> Result<Reading> {
+        let reading = engine.begin_reading(&self.counters, size_of::<Counters>() as u64)?;
+        engine.write(&self.counters, std::mem::offset_of!(Counters, completed) as u64, &[0u32]);
+        Ok(reading)
+    }
+
     pub(crate) fn clear_counters(&self, engine: &Engine) {
         engine.write(&self.counters, 0, &[Counters::default()]);
     }
@@ -171,25 +194,22 @@ impl Lists {
         let optimiser = optimiser.copied().unwrap_or_default();
         bytes[OPTIMISER_AT..].copy_from_slice(bytemuck::bytes_of(&optimiser));
         engine.write(&self.view, 0, &bytes);
-        if self.told_rows.replace(Some(view.rows)) != Some(view.rows) {
-            engine.write(&self.sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[view.rows]);
-        }
     }
 
     pub(crate) fn optimiser(&self) -> Part<'_> {
         self.view.part(OPTIMISER_AT as u64, size_of::<Optimiser>() as u64)
     }
 
-    /// Empty tiles keep these ranges. Comes before all stages, where it ends no pass.
-    pub(crate) fn clear_ranges(&self, recorder: &mut Recorder, view: &ViewPass) {
-        recorder.clear(&self.ranges, 8 * view.tiles());
+    /// Nothing is listed yet. Comes before all stages, where it ends no pass.
+    pub(crate) fn clear_tallies(&self, recorder: &mut Recorder, view: &ViewPass) {
+        recorder.clear(&self.tallies, tally_bytes(view));
     }
 
     /// Stages `project` and `bin` of a whole cloud, or of the mean. Colours that are shown make the steps
     /// that they have yet to make.
     pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, held: Held, view: &ViewPass) {
         recorder.stage("project");
-        let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
+        let outputs = [&self.splats, &self.depths, &self.tile_counts].map(Memory::all);
         for window in state.trained.windows() {
             let (geometry, LateColours { values, made, steps }) = state.held_at(held, window);
             let (view, uniform) = (self.view.all(), window.uniform.all());
@@ -206,60 +226,17 @@ impl Lists {
     /// Stage `bin`, from splats to tile lists.
     pub(crate) fn record_bin(&self, recorder: &mut Recorder, view: &ViewPass) {
         recorder.stage("bin");
-        self.record_depth_order(recorder, view.rows.into());
-        self.record_tile_lists(recorder, view);
-    }
-
-    /// Steps 1 and 2: splats without gaps, nearest first; rows are left in `values[0]`.
-    fn record_depth_order(&self, recorder: &mut Recorder, rows: u64) {
-        let Self { sorter, flags, offsets, .. } = self;
-        let blocks = Grid::Groups(rows.div_ceil(SCAN_BLOCK.into()));
-        sorter.scan(recorder, LENGTH_ROWS, blocks, flags, offsets);
-        let parts = [&sorter.lengths, &sorter.sums, &sorter.grids, &self.counters];
-        recorder.run(&shaders::PLAN_VISIBLE, &parts.map(Memory::all), Grid::Groups(1));
-        let [keys, values] = [&sorter.keys[0], &sorter.values[0]];
-        let parts = [&sorter.lengths, flags, offsets, &self.depths, keys, values];
-        recorder.run(&shaders::COMPACT, &parts.map(Memory::all), Grid::Items(rows));
-        let grid = GRID_DEPTH_SORT;
-        sorter.sort(
-            recorder,
-            &Sort { length: LENGTH_VISIBLE, grid, most: rows, bits: 32, first: 0, count_up: false },
-        );
-    }
-
-    /// Steps 3 and 4: intersections in depth order, sorted by tile ([`Self::sorted_intersections`]).
-    fn record_tile_lists(&self, recorder: &mut Recorder, view: &ViewPass) {
-        let Self { sorter, flags: counts, offsets, splats, ranges, .. } = self;
-        let (lengths, order) = (&sorter.lengths, &sorter.values[0]);
-        let visible = Grid::Device(&sorter.grids, GRID_VISIBLE);
-        let parts = [lengths, order, &self.tile_counts, counts];
-        recorder.run(&shaders::TILE_COUNTS_BY_DEPTH, &parts.map(Memory::all), visible);
-        let blocks = Grid::Device(&sorter.grids, GRID_VISIBLE_SCAN);
-        sorter.scan(recorder, LENGTH_VISIBLE, blocks, counts, offsets);
-        let parts = [&self.view, lengths, &sorter.sums, &sorter.grids, &self.counters];
-        recorder.run(&shaders::PLAN_INTERSECTIONS, &parts.map(Memory::all), Grid::Groups(1));
-        let outputs = [&sorter.keys[1], &self.intersection_splats, &self.first_intersections];
-        let parts = [&[&self.view, lengths, order, counts, offsets, splats][..], &outputs].concat();
+        let outputs = [&self.tallies, &self.first_intersections, &self.intersection_splats];
+        let [tiles, places] = self.order.emitted();
+        let parts = [&[&self.view, &self.tile_counts, &self.splats][..], &outputs, &[tiles, places]].concat();
         let parts: Vec<_> = parts.into_iter().map(Memory::all).collect();
-        let instructions =
-            SPLAT_INSTRUCTIONS * u64::from(view.rows) + INTERSECTION_INSTRUCTIONS * self.capacity;
-        recorder.run_long(&shaders::EMIT, &[], &parts, visible, instructions);
-
-        let bits = tile_bits(view.tiles());
-        let (length, grid, most) = (LENGTH_INTERSECTIONS, GRID_TILE_SORT, self.capacity);
-        let sorted = sorter.sort(recorder, &Sort { length, grid, most, bits, first: 1, count_up: true });
-        let parts = [lengths, &sorter.keys[sorted], ranges];
-        let grid = Grid::Device(&sorter.grids, GRID_INTERSECTIONS);
-        recorder.run(&shaders::TILE_RANGES, &parts.map(Memory::all), grid);
-    }
-
-    /// Numbers of the intersections, tile after tile, nearest first `[I]`.
-    pub(crate) fn sorted_intersections(&self, view: &ViewPass) -> &Memory {
-        &self.sorter.values[(1 + tile_bits(view.tiles()).div_ceil(DIGIT_BITS) as usize) % 2]
+        let rows = u64::from(view.rows);
+        let instructions = SPLAT_INSTRUCTIONS * rows + INTERSECTION_INSTRUCTIONS * self.capacity;
+        recorder.run_long(&shaders::EMIT, &[], &parts, Grid::Items(rows), instructions);
+        self.record_order(recorder, view);
     }
 }
 
-/// Bits of the largest number of so many tiles; at least one, so that intersections are numbered.
-pub(crate) fn tile_bits(tiles: u64) -> u32 {
-    (64 - tiles.saturating_sub(1).leading_zeros()).max(1)
+fn tally_bytes(view: &ViewPass) -> u64 {
+    4 * (u64::from(TALLIES) + view.tiles())
 }

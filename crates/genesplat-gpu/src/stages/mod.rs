@@ -2,9 +2,9 @@
 
 pub(crate) mod lists;
 pub(crate) mod optimise;
+pub(crate) mod order;
 pub(crate) mod pixels;
 pub(crate) mod score;
-pub(crate) mod sort;
 pub(crate) mod tiles;
 pub(crate) mod traffic;
 pub(crate) mod view_pass;

@@ -74,8 +74,7 @@ impl Pixels {
 
     pub(crate) fn record_rasterise(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
         recorder.stage("rasterise");
-        let intersections = lists.sorted_intersections(view);
-        let splats = &lists.intersection_splats;
+        let (intersections, splats) = (&lists.intersections, &lists.intersection_splats);
         let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &self.image];
         lists.run_tiles(recorder, view, tiles::RASTERISE, &parts);
     }
@@ -119,7 +118,7 @@ impl Pixels {
         let parts = [
             &lists.view,
             &lists.ranges,
-            lists.sorted_intersections(view),
+            &lists.intersections,
             &lists.intersection_splats,
             &lists.splats,
             &self.image,

@@ -92,7 +92,7 @@ impl Pool {
     /// Stage `project` of the row versions.
     pub(crate) fn record_project(&self, recorder: &mut Recorder, trained: &Settled, lists: &Lists) {
         recorder.stage("score_project");
-        let outputs = [&lists.splats, &lists.depths, &lists.tile_counts, &lists.flags].map(Memory::all);
+        let outputs = [&lists.splats, &lists.depths, &lists.tile_counts].map(Memory::all);
         for (window, (uniform, count)) in trained.windows.iter().zip(&self.windows) {
             let cloud = [trained.cloud.geometry.at(window), trained.cloud.sh.at(window)];
             let inputs = [lists.view.all(), uniform.all()];

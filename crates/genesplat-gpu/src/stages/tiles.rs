@@ -66,6 +66,11 @@ fn rows_of_band(tiles_y: u32, instructions: u64, most: u64) -> u32 {
 }
 
 impl Lists {
+    /// A number below that of tile rows, as a kernel reads it.
+    pub(super) fn number(&self, number: u32) -> Part<'_> {
+        self.first_tile_rows.part(u64::from(number) * ROW_STEP as u64, 16)
+    }
+
     /// Runs a kernel on all tiles; `parts` are its bindings, to which the number of the first tile row is
     /// added.
     pub(crate) fn run_tiles(
@@ -82,7 +87,7 @@ impl Lists {
         let parts: Vec<Part> = parts.iter().map(|memory| memory.all()).collect();
         for first in (0..view.tiles_y).step_by(rows as usize) {
             let count = rows.min(view.tiles_y - first);
-            let first_row = self.first_tile_rows.part(u64::from(first) * ROW_STEP as u64, 16);
+            let first_row = self.number(first);
             let grid = Grid::Exact([view.tiles_x, count, layers]);
             let share = instructions * u64::from(count) / u64::from(view.tiles_y);
             recorder.run_long(shader, overrides, &[&parts[..], &[first_row]].concat(), grid, share);

@@ -5,13 +5,8 @@
 //! device's memory.
 
 use crate::layout::{
-    DENSITY_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE,
+    DENSITY_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS,
 };
-use crate::stages::lists::tile_bits;
-use crate::stages::sort::DIGIT_BITS;
-
-/// Reading and writing a key and a value, in each pass of a sort.
-const PASS_BYTES: u64 = 16;
 
 /// How much there is to do.
 #[derive(Clone, Copy, Debug)]
@@ -37,18 +32,14 @@ impl Work {
                 .map(|floats| 4 * u64::from(floats));
         let [evaluated, differentiated, moved] = self.colour_bytes();
         let pixels = width * height;
-        let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
             // Tile counts and flags of all rows; depths of splats, and their first and third vectors once
             // more; which steps their colours have made.
             "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4 + 32 + 8),
-            // Flags are read; of splats the depth, the tile count and they themselves, and their first
-            // intersections are written; they are sorted by depth. Intersections' tiles and splats are
-            // written and sorted by tile.
-            "bin" => {
-                let sorted = visible * passes(32) + intersections * passes(tile_bits(tiles));
-                rows * 4 + visible * (12 + splat) + intersections * 8 + sorted * PASS_BYTES
-            }
+            // Tile counts of all rows are read; of splats they themselves and the depth, and their first
+            // intersections are written. Of intersections, splat, tile and place are written and read; then
+            // depth and number; the number is written in its order.
+            "bin" => rows * 4 + visible * (splat + 8) + intersections * (2 * 12 + 2 * 8 + 4),
             // Three channels of f32 are written.
             "rasterise" => intersections * 8 + visible * splat + pixels * 12,
             // Both steps read render and photo; nine partial derivatives pass between them; the gradient is
@@ -81,10 +72,6 @@ impl Work {
     }
 }
 
-fn passes(bits: u32) -> u64 {
-    bits.div_ceil(DIGIT_BITS).into()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -99,9 +86,7 @@ mod tests {
         assert_eq!([0, 1, 3].map(seen), [16, 48, 192].map(|moved| 10 * (64 + 6 * moved + 24)));
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
         assert_eq!(work.bytes("nothing"), 0);
-        // 10 by 6 tiles: six bits, one pass.
         let listed = Work { visible: 10, intersections: 30, ..work };
-        assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * (60 + 4 * 16) + 30 * (8 + 16));
-        assert_eq!(tile_bits(120 * 68), 13);
+        assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * 56 + 30 * 44);
     }
 }

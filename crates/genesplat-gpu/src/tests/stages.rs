@@ -28,7 +28,7 @@ fn read<T: bytemuck::Pod>(gpu: &GpuBackend, memory: &Memory, count: usize) -> Ve
 fn tile_lists(gpu: &GpuBackend, settings: &RenderSettings, rows: usize) -> (Vec<Vec<u32>>, Vec<u32>) {
     let view = ViewPass::new(&camera(), settings, rows as u64);
     let capacity = gpu.lists.capacity as usize;
-    let numbers: Vec<u32> = read(gpu, gpu.lists.sorted_intersections(&view), capacity);
+    let numbers: Vec<u32> = read(gpu, &gpu.lists.intersections, capacity);
     let ranges: Vec<[u32; 2]> = read(gpu, &gpu.lists.ranges, view.tiles() as usize);
     let lists = ranges.iter().map(|&[begin, end]| numbers[begin as usize..end as usize].to_vec()).collect();
     (lists, read(gpu, &gpu.lists.intersection_splats, capacity))

@@ -1,7 +1,8 @@
 //! Long work is split into dispatches and submissions that a weak device is through with soon: with the same
 //! bits.
 
-use genesplat_core::{DeviceState, Held, Image};
+use genesplat_core::backend::{McmcStep, StepReport};
+use genesplat_core::{BackendError, DeviceState, Held, Image, Rng, StatisticsRequest};
 
 use super::evolution::map_of;
 use super::verbs::change_rows;
@@ -83,3 +84,113 @@ fn a_kernel_that_forgets_its_first_tile_row_is_noticed() {
 
 /// The one place where a kernel asks for it, but for its declaration.
 const FIRST_ROW: &str = "first_tile_row, 0u";
+
+/// Most of a small step's time is the device's way from one dispatch to the next.
+#[test]
+fn a_step_is_few_dispatches_one_submission_and_no_wait() {
+    let Some(mut gpu) = gpu() else { return };
+    let asking = step(1, settings(3, ScreenFilter::Classic));
+    let plain = TrainStep { statistics: StatisticsRequest::default(), ..asking };
+    let mut wandering = asking;
+    wandering.update.as_mut().unwrap().mcmc = Some(McmcStep {
+        noise_scale: 1e-3,
+        opacity_weight: 0.01,
+        scale_weight: 0.01,
+        rng: Rng::new(SEED),
+        counter: 1,
+    });
+    for (step, expected) in [(plain, DISPATCHES), (asking, DISPATCHES + 2), (wandering, DISPATCHES + 3)] {
+        let statistics = step.statistics;
+        // Every few steps, colours make up for those that they have missed.
+        gpu.upload(cloud(300).into()).unwrap();
+        // The first time, buffers grow.
+        gpu.train_step(&step).unwrap();
+        gpu.report().unwrap();
+        let counts = |gpu: &GpuBackend| {
+            let engine = &gpu.engine;
+            [&engine.dispatches, &engine.submissions, &engine.waits].map(std::cell::Cell::get)
+        };
+        let before = counts(&gpu);
+        gpu.train_step(&step).unwrap();
+        let after = counts(&gpu);
+        let [dispatches, submissions, waits] = std::array::from_fn(|which| after[which] - before[which]);
+        assert_eq!([dispatches, submissions, waits], [expected, 1, 0], "{statistics:?}");
+        assert!(dispatches <= 22);
+        gpu.report().unwrap();
+    }
+}
+
+/// Dispatches of a step without statistics: two of projection, five of tile lists, one of blending, three of the
+/// loss, two backward, three of the optimiser.
+const DISPATCHES: u32 = 16;
+
+/// Ten steps, then a question, and again: the host never waits for all that it has submitted, and what it is
+/// told is what a step found.
+#[test]
+fn reports_come_late_and_are_those_of_their_steps() {
+    let (Some(mut gpu), Some(mut waiting)) = (gpu(), gpu()) else { return };
+    let steps = || (1..=100).map(|number| step(number, settings(2, ScreenFilter::Classic)));
+    waiting.upload(cloud(300).into()).unwrap();
+    let reports: Vec<_> = steps()
+        .map(|step| {
+            waiting.train_step(&step).unwrap();
+            waiting.report().unwrap()
+        })
+        .collect();
+    // With lists that do not fit at first.
+    for capacity in [None, Some(50)] {
+        gpu.upload(cloud(300).into()).unwrap();
+        assert_eq!(gpu.recent_report().unwrap(), None);
+        gpu.lists.release();
+        gpu.lists.wanted_capacity = capacity;
+        let (waits, mut late) = (gpu.engine.waits.get(), Vec::new());
+        for (number, step) in steps().enumerate() {
+            gpu.train_step(&step).unwrap();
+            if number % 10 == 9 {
+                let report = gpu.recent_report().unwrap();
+                if let Some(report) = report {
+                    let expected = reports[number - report.steps_ago as usize];
+                    assert_eq!(StepReport { steps_ago: 0, ..report }, expected, "step {number}");
+                }
+                late.extend(report.map(|report| report.steps_ago));
+            }
+        }
+        if capacity.is_none() {
+            assert_eq!((gpu.engine.waits.get() - waits, &late[..]), (0, &[10; 9][..]));
+        }
+        assert_eq!(gpu.report().unwrap(), reports[99]);
+        assert!(gpu.state().unwrap() == waiting.state().unwrap(), "capacity {capacity:?}");
+    }
+}
+
+/// Whoever asks nothing has at most 64 steps in the queue, without a wait for the last of them.
+#[test]
+fn a_queue_of_steps_is_bounded() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(50).into()).unwrap();
+    let classic = settings(1, ScreenFilter::Classic);
+    let (waits, mut longest) = (gpu.engine.waits.get(), 0);
+    for number in 1..=200 {
+        gpu.train_step(&step(number, classic)).unwrap();
+        longest = longest.max(gpu.queued.len());
+    }
+    assert_eq!((longest, gpu.engine.waits.get() - waits), (64, 0));
+    gpu.report().unwrap();
+    assert!(gpu.queued.is_empty());
+}
+
+#[test]
+fn a_loss_that_is_not_finite_ends_a_run_that_is_told_late() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(50).into()).unwrap();
+    let mut wild = step(1, settings(1, ScreenFilter::Classic));
+    wild.update.as_mut().unwrap().rates.sh_dc = f32::MAX;
+    let run = |gpu: &mut GpuBackend| {
+        (1..=100).try_for_each(|number| {
+            gpu.train_step(&wild)?;
+            if number % 10 == 0 { gpu.recent_report().map(drop) } else { Ok(()) }
+        })
+    };
+    let error = run(&mut gpu).expect_err("colours have left all bounds");
+    assert!(matches!(error, BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. }), "{error}");
+}

@@ -210,7 +210,8 @@ impl Device for CpuBackend {
         let inputs = UpdateInputs { splats, gradients, camera, settings, is_masked, share };
         let (trained, statistics) = (&mut self.trained, &mut self.statistics);
         timed(&mut seconds.update, || update(self.level, &inputs, trained, statistics, step));
-        self.report = StepReport { loss, visible: splats.len(), intersections: bins.intersections.len() };
+        self.report =
+            StepReport { loss, visible: splats.len(), intersections: bins.intersections.len(), steps_ago: 0 };
         self.count(step);
         Ok(())
     }

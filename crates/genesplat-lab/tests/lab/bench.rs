@@ -12,14 +12,22 @@ fn bench_gpu_measures_or_says_why_not() {
     let file = folder.path().join("gpu.json");
     let arguments =
         ["bench", "gpu", "--gaussians", "300,600", "--width", "64", "--height", "48", "--steps", "2"];
-    let arguments = arguments.into_iter().chain(["--population", "3", "--json", text(&file)]);
+    let arguments =
+        arguments.into_iter().chain(["--population", "3", "--iterations", "3", "--json", text(&file)]);
     judge_failure(without_drivers(arguments.clone()).output().unwrap(), &["no graphics device"]);
     if !succeed(["devices"]).contains("--device") {
         assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has no graphics device");
         return;
     }
     succeed(arguments);
-    judge_gpu(&json(&file), &[300, 600]);
+    let report = json(&file);
+    judge_gpu(&report, &[300, 600]);
+    let whole = &report["whole_run"];
+    assert_eq!((&whole["iterations"], &whole["photos"]), (&3.into(), &48.into()), "{whole}");
+    assert!(number(&whole["test_psnr"]) > 5.0 && number(&whole["gaussians"]) > 0.0, "{whole}");
+    let [training, scoring, all] =
+        ["training_seconds", "scoring_seconds", "seconds"].map(|figure| number(&whole[figure]));
+    assert!(training > 0.0 && scoring > 0.0 && (training + scoring - all).abs() < 1e-9, "{whole}");
 }
 
 /// Figures for clouds of these numbers of Gaussians.

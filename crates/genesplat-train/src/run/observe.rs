@@ -39,7 +39,8 @@ pub struct StepLog {
     pub sh_degree: u8,
     /// Rate of positions, world units.
     pub position_rate: f32,
-    /// What the device found, in iterations that read it back.
+    /// What the device found, in iterations that read it back; what it found some steps before, where it would
+    /// have had to be waited for.
     #[serde(flatten)]
     pub report: Option<StepReport>,
 }
@@ -270,7 +271,7 @@ mod tests {
             gaussians: 3,
             sh_degree: 0,
             position_rate: 0.5,
-            report: Some(StepReport { loss: 0.25, visible: 2, intersections: 4 }),
+            report: Some(StepReport { loss: 0.25, visible: 2, intersections: 4, steps_ago: 0 }),
         }));
         assert!(step.contains(r#""event":"step","iteration":7"#), "{step}");
         assert!(step.contains(r#""loss":0.25"#), "{step}");

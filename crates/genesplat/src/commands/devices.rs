@@ -32,7 +32,6 @@ fn describe(place: usize, adapter: &AdapterReport, is_first: bool) -> String {
     let AdapterReport { name, kind, api, driver, binding_bytes, buffer_bytes, workgroup_bytes, .. } = adapter;
     let mib = |bytes: u64| bytes >> 20;
     let clock = if adapter.timestamps { "can time its stages" } else { "cannot time its stages" };
-    let subgroups = if adapter.subgroups { "has subgroups" } else { "has no subgroups" };
     let use_of_it = match &adapter.unusable {
         Some(reason) => format!("cannot be used: {reason}"),
         None if !is_first => format!("used by --device gpu:{place} only: one above comes first"),
@@ -41,7 +40,7 @@ fn describe(place: usize, adapter: &AdapterReport, is_first: bool) -> String {
     };
     format!(
         "gpu:{place}  {name}: {kind}, {api}, {driver}\n     {use_of_it}\n     a kernel sees {} MiB of a buffer of up to {} \
-         MiB; {} KiB a workgroup; {subgroups}; {clock}",
+         MiB; {} KiB a workgroup; {clock}",
         mib(*binding_bytes),
         mib(*buffer_bytes),
         workgroup_bytes >> 10,
@@ -62,7 +61,6 @@ mod tests {
             buffer_bytes: 1 << 30,
             workgroup_bytes: 32 << 10,
             timestamps: true,
-            subgroups: true,
             unusable: unusable.map(str::to_owned),
         }
     }

@@ -1,11 +1,11 @@
 //! `genesplat-lab bench gpu`: what training steps and scoring cost on the graphics device, at several sizes,
 //! in one call.
 //!
-//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
+//! A whole run comes last, on the scene of `--data` or on the bundled one. Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
 //! the device's own, stage by stage, and the host's, over steps that are submitted one after the other
 //! without waiting, as in training. Scoring is measured as in `bench genetic`.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use genesplat::core::backend::StepReport;
@@ -17,12 +17,15 @@ use genesplat::terminal::output;
 use serde::Serialize;
 
 use super::genetic::{founders, just_reset, max_relative_difference};
+use super::whole::{self, WholeRun};
 use super::workload::Source;
 use super::{middle, print_figures};
 use crate::args::BenchGpuArgs;
 
-/// Fewest steps before a clock counts: buffers grow, kernels are compiled.
-const WARM_UP: u32 = 3;
+/// Fewest steps before a clock counts, and how long they go on at least: buffers grow, kernels are compiled, and
+/// a card's clock rises.
+const WARM_UP_STEPS: u32 = 3;
+const WARM_UP: Duration = Duration::from_secs(1);
 const SCORINGS: usize = 3;
 /// Bytes that are copied to measure the device's memory: more than its caches hold.
 const COPIED_BYTES: u64 = 256 << 20;
@@ -31,13 +34,14 @@ const COPIED_BYTES: u64 = 256 << 20;
 #[derive(Serialize)]
 struct Report {
     device: String,
-    subgroups: bool,
     memory_bytes_per_second: f64,
     width: u32,
     height: u32,
     /// Photos that steps go through; scoring is measured on the first.
     views: usize,
     sizes: Vec<Size>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    whole_run: Option<WholeRun>,
 }
 
 #[derive(Serialize)]
@@ -68,22 +72,22 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
     let mut source = Source::of(&args.source, [args.width, args.height])?;
     source.views = spread(&source.views, args.steps as usize);
     let [width, height] = size_px(&source.views);
-    let mut backend = new_backend(args)?;
+    let mut backend = new_backend()?;
     let mut report = Report {
         device: backend.describe(),
-        subgroups: backend.uses_subgroups(),
         memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
         width,
         height,
         views: source.views.len(),
         sizes: Vec::new(),
+        whole_run: None,
     };
     drop(backend);
     print_figures(&report)?;
     let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
     for gaussians in sizes {
         output::tell(&format!("making {gaussians} Gaussians"));
-        let measured = Bench::new(&source, gaussians as usize, args)
+        let measured = Bench::new(&source, gaussians as usize)
             .and_then(|mut bench| bench.measure(args, report.memory_bytes_per_second));
         match measured {
             // What was measured at smaller sizes is worth as much as before.
@@ -97,12 +101,17 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
             }
         }
     }
+    if args.iterations > 0 {
+        output::tell(&format!("training for {} iterations", args.iterations));
+        let whole_run = whole::measure(new_backend()?, source.scene.as_ref(), args.iterations)?;
+        print_figures(&whole_run)?;
+        report.whole_run = Some(whole_run);
+    }
     args.json.write(&report)
 }
 
-fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
-    let open = if args.without_subgroups { GpuBackend::without_subgroups } else { GpuBackend::new };
-    without_drivers(open)
+fn new_backend() -> Result<GpuBackend, BackendError> {
+    without_drivers(GpuBackend::new)
 }
 
 fn is_too_large(error: &anyhow::Error) -> bool {
@@ -137,8 +146,8 @@ struct Timed {
 }
 
 impl Bench {
-    fn new(source: &Source, gaussians: usize, args: &BenchGpuArgs) -> Result<Self> {
-        let mut backend = new_backend(args)?;
+    fn new(source: &Source, gaussians: usize) -> Result<Self> {
+        let mut backend = new_backend()?;
         backend.set_views(&source.views)?;
         backend.upload((source.cloud(gaussians)?).into())?;
         let (settings, views) = (source.settings, source.views.len());
@@ -146,9 +155,7 @@ impl Bench {
     }
 
     fn measure(&mut self, args: &BenchGpuArgs, memory_bytes_per_second: f64) -> Result<Size> {
-        // Every view once, since each may need larger buffers than those before.
-        let warm = WARM_UP.max(self.views as u32);
-        self.steps(0, warm)?;
+        let warm = self.warm_up()?;
         let seconds = self.seconds(|bench| bench.steps(warm, args.steps))?;
         let milliseconds = 1e3 * seconds / f64::from(args.steps);
         let Timed { stages, visible, intersections } = self.stages(warm + args.steps, args.steps)?;
@@ -198,6 +205,17 @@ impl Bench {
             ratio: plain_seconds / scored_seconds,
             max_relative_difference: max_relative_difference(&scored, &plain),
         })
+    }
+
+    /// Returns the number of steps. Every view once, since each may need larger buffers than those before.
+    fn warm_up(&mut self) -> Result<u32> {
+        let (clock, mut made) = (Instant::now(), 0);
+        while made == 0 || clock.elapsed() < WARM_UP {
+            let more = WARM_UP_STEPS.max(self.views as u32);
+            self.steps(made, more)?;
+            made += more;
+        }
+        Ok(made)
     }
 
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {

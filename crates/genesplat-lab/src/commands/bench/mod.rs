@@ -3,6 +3,7 @@
 pub(crate) mod genetic;
 pub(crate) mod gpu;
 pub(crate) mod step;
+mod whole;
 mod workload;
 
 use anyhow::{Result, bail};

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
 use genesplat::flags::SizeArgs;
+use genesplat::io::Scene;
 use genesplat::run::sampled::sampled;
 use genesplat::run::settings::Dataset;
 use genesplat::run::{scene, splat};
@@ -18,6 +19,8 @@ const SIZE_PX: [u32; 2] = [268, 478];
 pub(crate) struct Source {
     pub(crate) views: Vec<View>,
     pub(crate) settings: RenderSettings,
+    /// What a whole run trains on; none where the photo is synthetic.
+    pub(crate) scene: Option<Scene>,
     origin: Origin,
 }
 
@@ -44,6 +47,7 @@ impl Source {
         Self {
             views: vec![synthetic_view(size_px)],
             settings: RenderSettings::default(),
+            scene: None,
             origin: Origin::Points(synthetic_points(size_px)),
         }
     }
@@ -51,14 +55,16 @@ impl Source {
     fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
         let scene = scene::load(&Dataset::of(data, &size.asked()), [0.0; 3], 0, None, None)?;
         let points = scene::points(&scene);
-        Ok(Self { views: scene.train, settings: RenderSettings::default(), origin: Origin::Points(points) })
+        let (views, settings) = (scene.train.clone(), RenderSettings::default());
+        Ok(Self { views, settings, scene: Some(scene), origin: Origin::Points(points) })
     }
 
     /// As large as the splat was trained unless another size is asked for, and rendered as it is meant to be.
     fn trained(data: &Path, path: &Path, size: SizeArgs) -> Result<Self> {
         let splat = splat::open(path)?;
         let scene = splat.load_scene(data, &size.asked())?;
-        Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
+        let (views, settings) = (scene.train.clone(), splat.settings);
+        Ok(Self { views, settings, scene: Some(scene), origin: Origin::Trained(splat.cloud) })
     }
 
     pub(crate) fn trained_count(&self) -> Option<usize> {
@@ -77,7 +83,7 @@ impl Source {
 
     /// The photos, how to render, and a cloud as it was asked for.
     pub(crate) fn of_cpu(args: &WorkloadArgs) -> Result<(Vec<View>, RenderSettings, Gaussians)> {
-        let Self { views, settings, origin } = Self::of(&args.source, SIZE_PX)?;
+        let Self { views, settings, origin, .. } = Self::of(&args.source, SIZE_PX)?;
         let cloud = match origin {
             Origin::Points(points) => {
                 let default = if args.source.data.is_some() { points.len() } else { GAUSSIANS };

@@ -329,7 +329,7 @@ impl Device for FakeBackend {
 
     fn report(&mut self) -> Result<StepReport, BackendError> {
         self.settle()?;
-        Ok(StepReport { loss: 0.5, visible: self.cloud.len(), intersections: 1 })
+        Ok(StepReport { loss: 0.5, visible: self.cloud.len(), intersections: 1, steps_ago: 0 })
     }
 
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
