@@ -165,6 +165,9 @@ shaders! {
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
     // How much of each pixel every Gaussian is.
     WEIGHT_SUM = "blend/weight_sum" + [SPLAT_SUMS];
+    // Splats that the host has projected, and what it goes on from after the backward blending.
+    COUNT_TILES = "bin/count_tiles" + [SPLAT, OVERLAP];
+    SPLAT_SUMS = "blend/splat_sums" + [SPLAT_SUMS];
 }
 
 /// Name and WGSL of every kernel, as a device with subgroups compiles it: what tools count.
