@@ -3,6 +3,7 @@
 //! These tests need a Vulkan, Metal or DX12 driver; Mesa's `lavapipe` will do. Without one they say that they
 //! were skipped, and where `GENESPLAT_REQUIRE_GPU` is set, as `.ci/run` does, that is a failure.
 
+mod differentiable;
 mod evolution;
 #[path = "../../genesplat-kernels/tests/fixtures/mod.rs"]
 mod fixtures;
@@ -17,7 +18,7 @@ use fixtures::{
     individual_of, masked_view, poisoned_cloud, settings, shortest_row, small_view, step, uniform, view,
 };
 use genesplat_core::{
-    DensitySignal, Device, Edit, Gaussians, RenderSettings, Renderer, ScreenFilter, TrainStep, View,
+    Camera, DensitySignal, Device, Edit, Gaussians, RenderSettings, Renderer, ScreenFilter, TrainStep, View,
 };
 use genesplat_kernels::cpu::CpuBackend;
 

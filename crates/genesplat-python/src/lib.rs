@@ -4,6 +4,7 @@
 //! cameras, long work leaves the interpreter's lock and hears Ctrl-C, and errors become exceptions.
 
 mod arrays;
+mod card;
 mod cloud;
 mod density;
 mod error;

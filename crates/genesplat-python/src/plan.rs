@@ -1,8 +1,8 @@
 //! What a training is to do, and how it is done: by itself, or into the folder of a run, as the command does.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use anyhow::ensure;
@@ -14,7 +14,7 @@ use genesplat::run::reporter::{Companion, Reporter};
 use genesplat::run::session::{Caller, RunSession};
 use genesplat::run::settings::{ConfigFile, Machine};
 use genesplat::run::training::{self, Run};
-use genesplat::run::{device, lpips, overwrite, scene, splat};
+use genesplat::run::{device, lpips, minutes, output, overwrite, scene, splat};
 use genesplat::train::{Checkpoint, Start, train};
 use pyo3::PyResult;
 
@@ -24,9 +24,11 @@ use crate::scene::LoadedScene;
 /// What a training is to do.
 pub(crate) struct Plan {
     pub(crate) scene: Arc<Scene>,
-    /// The last iteration.
-    pub(crate) iterations: u32,
+    /// But for the iterations, where these are what fits into minutes.
     config: ConfigFile,
+    minutes: Option<f64>,
+    /// What fits, once that is known.
+    fitting: OnceLock<u32>,
     out: Option<PathBuf>,
     /// Whether its first part goes on with the run in `out`.
     resumes: bool,
@@ -52,6 +54,7 @@ impl Plan {
     pub(crate) fn new(
         scene: &LoadedScene,
         mut config: ConfigFile,
+        minutes: Option<f64>,
         (out, resumes): (Option<PathBuf>, bool),
         cloud: Option<Arc<Gaussians>>,
     ) -> PyResult<Self> {
@@ -60,14 +63,48 @@ impl Plan {
             config.train.checkpoint_every = 0;
         }
         config.check().map_err(wrong)?;
+        if let Some(minutes) = minutes {
+            minutes::check_method(&config.train).map_err(wrong)?;
+            if !minutes::RANGE.contains(&minutes) {
+                return Err(wrong(format!("minutes is {minutes}; a number between 0.1 and 10000 is needed")));
+            }
+        }
         if config.train.background.fixed_colour() != scene.background {
             return Err(wrong("the scene was loaded on another background; give Scene.load the same one"));
         }
         if out.is_none() && scene.dataset.corrections != Corrections::Off {
             return Err(wrong("photos are brought to one exposure in the folder of a run alone; give out"));
         }
-        let iterations = config.train.clone().resolve().map_err(wrong)?.iterations;
-        Ok(Self { scene: Arc::clone(&scene.scene), iterations, config, out, resumes, cloud })
+        config.train.clone().resolve().map_err(wrong)?;
+        let (scene, fitting) = (Arc::clone(&scene.scene), OnceLock::new());
+        Ok(Self { scene, config, minutes, fitting, out, resumes, cloud })
+    }
+
+    /// The last iteration.
+    pub(crate) fn iterations(&self) -> anyhow::Result<u32> {
+        Ok(self.config()?.train.resolve()?.iterations)
+    }
+
+    fn config(&self) -> anyhow::Result<ConfigFile> {
+        let mut config = self.config.clone();
+        if let Some(minutes) = self.minutes {
+            config.train.iterations = match self.fitting.get() {
+                Some(iterations) => *iterations,
+                None => self.fit(minutes)?,
+            };
+        }
+        Ok(config)
+    }
+
+    /// Finds out how many iterations fit: once, so that every part of a training has the same end.
+    fn fit(&self, minutes: f64) -> anyhow::Result<u32> {
+        let began = Instant::now();
+        let lpips = self.out.as_ref().map(|_| lpips::open(&lpips::Asked::default())).transpose()?.flatten();
+        let mut device = device::open(self.config.clone().resolve(Machine::default())?.device)?;
+        let left = 60.0 * minutes - began.elapsed().as_secs_f64();
+        let room = minutes::room(left, &self.config.train, &self.scene, &mut device, lpips.as_ref())?;
+        output::tell(&room.sentence);
+        Ok(*self.fitting.get_or_init(|| room.iterations))
     }
 
     /// Trains to the end, or until `stop` is set; goes on where the last part has ended.
@@ -93,7 +130,7 @@ impl Plan {
         along: &dyn Companion,
         stop: &AtomicBool,
     ) -> anyhow::Result<Ended> {
-        let settings = self.config.clone().resolve(Machine::default())?;
+        let settings = self.config()?.resolve(Machine::default())?;
         let start = match (checkpoint, &self.cloud) {
             (Some(checkpoint), _) => Start::Checkpoint(checkpoint),
             (None, Some(cloud)) => Start::Cloud((**cloud).clone()),
@@ -130,7 +167,7 @@ impl Plan {
         let mut session = RunSession::claim(out, Caller::Train, resumes)?;
         let (scene, exposure) = self.exposed(out, resumes)?;
         let lpips = lpips::open(&lpips::Asked::default())?;
-        let settings = self.config.clone().resolve(Machine::default())?;
+        let settings = self.config()?.resolve(Machine::default())?;
         let run = Run {
             settings: &settings,
             scene: &scene,

@@ -7,15 +7,18 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use genesplat::core::constants::JACOBIAN_LIMIT;
 use genesplat::core::spherical_harmonics::{SH_STRIDE, coefficients};
-use genesplat::core::{BackendError, Gaussians, RenderSettings, ScreenFilter};
-use genesplat::kernels::cpu::{DifferentiableView, Pinhole, ViewGradients};
-use glam::{Mat3, Vec3};
+use genesplat::core::{BackendError, Gaussians, RenderSettings, ScreenFilter, Splat};
+use genesplat::kernels::cpu::{DifferentiableView, Pinhole, PoseGradient, ViewGradients};
+use genesplat::run::device::DeviceChoice;
+use glam::{DMat3, DVec3, Mat3, Vec3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyReadonlyArray3, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 
+use crate::card::on_card;
+use crate::cloud::device_named;
 use crate::error::{told, wrong};
 
 /// Where the logit of an opacity ends: in `f32` the sigmoid of more is 1.
@@ -31,7 +34,9 @@ pub(crate) struct RasterizedView {
     view: Mutex<DifferentiableView>,
     /// As given: their logarithms are what the kernels know `[N, 3]`.
     scales: Vec<[f32; 3]>,
-    size: [usize; 2],
+    camera: Pinhole,
+    /// What blends, where that is not the CPU.
+    card: Option<DeviceChoice>,
 }
 
 /// Of each splat: row, mean and half extent, px; depth; inverse covariance; opacity.
@@ -47,8 +52,8 @@ type SplatArrays<'py> = (
 /// Picture and transmittance.
 type DrawnArrays<'py> = (Bound<'py, PyArray3<f32>>, Bound<'py, PyArray2<f32>>);
 
-/// By means, quaternions, scales, opacities, harmonics, colours, means on the screen, and these with absolute
-/// values.
+/// By means, quaternions, scales, opacities, harmonics, colours, means on the screen, these with absolute
+/// values, and the view matrix.
 type GradientArrays<'py> = (
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray2<f32>>,
@@ -58,13 +63,14 @@ type GradientArrays<'py> = (
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray2<f32>>,
 );
 
 #[pymethods]
 impl RasterizedView {
     /// Projects the cloud. `colors` are harmonics `[N, K, 3]` of degree `sh_degree`, or as they are `[N, 3]`.
     #[new]
-    #[pyo3(signature = (means, quats, scales, opacities, sh, rgb, sh_degree, viewmat, k, size, near, far, radius_clip, antialiased))]
+    #[pyo3(signature = (means, quats, scales, opacities, sh, rgb, sh_degree, viewmat, k, size, near, far, radius_clip, antialiased, device))]
     fn new(
         py: Python<'_>,
         means: PyReadonlyArray2<'_, f32>,
@@ -81,6 +87,7 @@ impl RasterizedView {
         far: f32,
         radius_clip: f32,
         antialiased: bool,
+        device: &str,
     ) -> PyResult<Self> {
         let rows = means.shape()[0];
         let scales = rows_of::<3>("scales", &scales, rows)?;
@@ -97,6 +104,7 @@ impl RasterizedView {
         };
         let rgb = rgb.as_ref().map(|rgb| rows_of::<3>("colors", rgb, rows)).transpose()?;
         let camera = pinhole(viewmat.as_slice()?, k.as_slice()?, size, near)?;
+        let card = device_named(device)?.resolve().map_err(told)?;
         let filter = if antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic };
         let settings = RenderSettings { sh_degree, background: [0.0; 3], filter };
         let view = py.detach(|| {
@@ -108,7 +116,7 @@ impl RasterizedView {
             Ok::<_, BackendError>(view)
         });
         let view = Mutex::new(view.map_err(told)?);
-        Ok(Self { view, scales, size: [size.0 as usize, size.1 as usize] })
+        Ok(Self { view, scales, camera, card: Some(card).filter(|card| card.is_graphics()) })
     }
 
     /// What is drawn, in the order of the rows.
@@ -140,12 +148,8 @@ impl RasterizedView {
 
     /// The picture on black `[3, H, W]`, and the transmittance that is left `[H, W]`.
     fn draw<'py>(&self, py: Python<'py>) -> PyResult<DrawnArrays<'py>> {
-        let [width, height] = self.size;
-        let (image, left) = py.detach(|| {
-            let mut view = self.view();
-            let (image, left) = view.draw();
-            (image.to_vec(), left.to_vec())
-        });
+        let [width, height] = self.camera.size_px.map(|pixels| pixels as usize);
+        let (image, left) = py.detach(|| self.drawn()).map_err(told)?;
         let image = image.into_pyarray(py).reshape([3, height, width])?;
         Ok((image, left.into_pyarray(py).reshape([height, width])?))
     }
@@ -158,11 +162,11 @@ impl RasterizedView {
         by_transmittance: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<GradientArrays<'py>> {
         let (by_image, by_left) = (by_image.as_slice()?, by_transmittance.as_slice()?);
-        let pixels = self.size[0] * self.size[1];
+        let pixels: usize = self.camera.size_px.map(|pixels| pixels as usize).iter().product();
         if by_image.len() != 3 * pixels || by_left.len() != pixels {
             return Err(wrong("the gradients are not of the picture that was drawn"));
         }
-        let gradients = py.detach(|| self.view().backward(by_image, by_left)).map_err(told)?;
+        let gradients = py.detach(|| self.differentiated(by_image, by_left)).map_err(told)?;
         self.arrays(py, gradients)
     }
 }
@@ -172,8 +176,25 @@ impl RasterizedView {
         self.view.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn drawn(&self) -> anyhow::Result<(Vec<f32>, Vec<f32>)> {
+        let mut view = self.view();
+        let Some(card) = self.card else {
+            let (image, left) = view.draw();
+            return Ok((image.to_vec(), left.to_vec()));
+        };
+        on_card(card, |gpu| gpu.draw_splats(&splats_of(&view), self.camera.size_px))
+    }
+
+    fn differentiated(&self, by_image: &[f32], by_left: &[f32]) -> anyhow::Result<ViewGradients> {
+        let mut view = self.view();
+        let Some(card) = self.card else { return Ok(view.backward(by_image, by_left)?) };
+        let size = self.camera.size_px;
+        let sums = on_card(card, |gpu| gpu.splats_backward(&splats_of(&view), size, by_image, by_left))?;
+        Ok(view.backward_from(&sums)?)
+    }
+
     fn arrays<'py>(&self, py: Python<'py>, gradients: ViewGradients) -> PyResult<GradientArrays<'py>> {
-        let ViewGradients { cloud, screen } = gradients;
+        let ViewGradients { cloud, screen, pose } = gradients;
         let of_row = |(by_log, scales): (&[f32; 3], &[f32; 3])| -> [f32; 3] {
             std::array::from_fn(|axis| {
                 by_log[axis] / scales[axis].abs().max(SCALE_MIN).copysign(scales[axis])
@@ -190,6 +211,7 @@ impl RasterizedView {
             array(py, screen.iter().map(|of| of.rgb).collect())?,
             array(py, screen.iter().map(|of| of.mean_px).collect())?,
             array(py, screen.iter().map(|of| of.absolute_mean_px).collect())?,
+            array(py, by_viewmat(&pose, &self.camera))?,
         ))
     }
 }
@@ -197,6 +219,25 @@ impl RasterizedView {
 /// Adds what is here to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<RasterizedView>()
+}
+
+/// What is drawn, in the order of the rows.
+fn splats_of(view: &DifferentiableView) -> Vec<Splat> {
+    view.splats().iter().map(|(_, splat)| *splat).collect()
+}
+
+/// By the view matrix `[R T; 0 1]`: the centre `c = −R⁻¹ T` moves by `−R⁻¹ (dR c + dT)`.
+fn by_viewmat(pose: &PoseGradient, camera: &Pinhole) -> Vec<[f32; 4]> {
+    let [x, y, z] = camera.rotation.map(|row| Vec3::from(row).as_dvec3());
+    // Of columns that are its rows: the transpose.
+    let transposed = DMat3::from_cols(x, y, z);
+    let through_centre = -(transposed.inverse() * DVec3::from(pose.centre_in_world));
+    let centre = Vec3::from(camera.centre_in_world).as_dvec3();
+    let rows = (0..3).map(|row| {
+        let by_rotation = DVec3::from(pose.rotation[row]) + through_centre[row] * centre;
+        by_rotation.extend(pose.translation[row] + through_centre[row]).as_vec4().to_array()
+    });
+    rows.chain([[0.0; 4]]).collect()
 }
 
 fn array<const K: usize>(py: Python<'_>, rows: Vec<[f32; K]>) -> PyResult<Bound<'_, PyArray2<f32>>> {

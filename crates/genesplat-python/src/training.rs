@@ -86,8 +86,8 @@ impl Worker {
         let (stop, (steps, told_steps), (asks, heard_asks)) =
             (Arc::new(AtomicBool::new(false)), channel(), channel());
         let (plan, stops) = (Arc::clone(plan), Arc::clone(&stop));
-        let iterations = plan.iterations;
         let work = move || {
+            let iterations = plan.iterations()?;
             let along =
                 Along { every, iterations, step: None.into(), steps, asks: heard_asks, stop: stops.clone() };
             plan.run(before, &along, &stops)
@@ -124,24 +124,26 @@ type Step = (u32, u32, usize, u8, f32);
 
 #[pymethods]
 impl Training {
-    /// One that begins with the points of the scene, or with `splats`; into a folder, if there is one.
+    /// One that begins with the points of the scene, or with `splats`; into a folder, if there is one. Of
+    /// `minutes`, if given, instead of the iterations that the settings have.
     #[new]
     fn new(
         scene: &LoadedScene,
         settings: &str,
+        minutes: Option<f64>,
         out: Option<PathBuf>,
         splats: Option<&Cloud>,
         every: u32,
     ) -> PyResult<Self> {
         let cloud = splats.map(|splats| Arc::clone(&splats.cloud));
-        Self::of(Plan::new(scene, settings_of(settings)?, (out, false), cloud)?, every)
+        Self::of(Plan::new(scene, settings_of(settings)?, minutes, (out, false), cloud)?, every)
     }
 
     /// One that goes on with the run in `out`.
     #[staticmethod]
     fn resume(scene: &LoadedScene, out: PathBuf, every: u32) -> PyResult<Self> {
         let settings = ConfigFile::of_run(&out).map_err(told)?;
-        Self::of(Plan::new(scene, settings, (Some(out), true), None)?, every)
+        Self::of(Plan::new(scene, settings, None, (Some(out), true), None)?, every)
     }
 
     /// Starts the thread, unless training is over.

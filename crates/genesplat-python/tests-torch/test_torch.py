@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+import genesplat
 import reference
 from genesplat.torch import rasterization
 
@@ -40,7 +41,8 @@ def cameras(count=1):
 
 def rendered(parameters, count=1, **settings):
     viewmats, Ks = cameras(count)
-    return rasterization(**parameters, viewmats=viewmats, Ks=Ks, width=WIDTH, height=HEIGHT, **settings)
+    parameters = {"viewmats": viewmats, **parameters}
+    return rasterization(**parameters, Ks=Ks, width=WIDTH, height=HEIGHT, **settings)
 
 
 def weights(shape, seed=9):
@@ -74,10 +76,10 @@ def formulas(parameters, settings, cuts=None):
     count, mode = settings.pop("count", 1), settings.pop("render_mode", "RGB")
     settings.pop("packed", None)
     antialiased = settings.pop("rasterize_mode", "classic") == "antialiased"
-    viewmats, Ks = (tensor.double() for tensor in cameras(count))
+    (_, Ks), viewmats = cameras(count), parameters["viewmats"].double()
     pictures, alphas, made = [], [], []
     for camera in range(count):
-        of_camera = dict(parameters)
+        of_camera = {name: tensor for name, tensor in parameters.items() if name != "viewmats"}
         if mode in ("D", "ED"):
             of_camera["colors"] = of_camera["colors"][:, :0]
         elif of_camera["colors"].dim() == 3 and "sh_degree" not in settings:
@@ -89,7 +91,7 @@ def formulas(parameters, settings, cuts=None):
             **settings,
         }
         picture, alpha, cut = reference.rasterization(
-            **of_camera, viewmat=viewmats[camera], K=Ks[camera], width=WIDTH, height=HEIGHT, **more
+            **of_camera, viewmat=viewmats[camera], K=Ks[camera].double(), width=WIDTH, height=HEIGHT, **more
         )
         if mode.endswith("ED"):
             picture = torch.cat(
@@ -105,7 +107,7 @@ def doubles(parameters):
     return {name: tensor.detach().double() for name, tensor in parameters.items()}
 
 
-NAMES = ["means", "quats", "scales", "opacities", "colors"]
+NAMES = ["means", "quats", "scales", "opacities", "colors", "viewmats"]
 # Depth alone has no colour.
 PAIRS = [(case, name) for case in CASES for name in NAMES if (case, name) != ("depth", "colors")]
 
@@ -113,7 +115,7 @@ PAIRS = [(case, name) for case in CASES for name in NAMES if (case, name) != ("d
 @pytest.mark.parametrize("case, name", PAIRS)
 def test_gradients_are_those_of_finite_differences(case, name):
     changed, settings = CASES[case]
-    parameters = {**cloud(), **changed}
+    parameters = {**cloud(), "viewmats": cameras(settings.get("count", 1))[0], **changed}
     leaf = parameters[name].clone().requires_grad_()
     colours, alphas, _ = rendered({**parameters, name: leaf}, **settings)
     loss = loss_of(colours, alphas)
@@ -124,6 +126,8 @@ def test_gradients_are_those_of_finite_differences(case, name):
     assert loss.item() == pytest.approx(exact.item(), rel=1e-4, abs=0.05)
     for seed in range(3):
         direction = weights(leaf.shape, 100 + seed)
+        if name == "viewmats":
+            direction[:, 3] = 0
         ends = [
             formulas(
                 {**doubles(parameters), name: leaf.detach().double() + sign * 1e-5 * direction},
@@ -180,7 +184,6 @@ def test_the_peers_splat_looks_as_an_independent_renderer_says():
     data = os.environ.get("GENESPLAT_DATA")
     if not data or not os.path.isdir(os.path.join(data, "peer")):
         pytest.skip("GENESPLAT_DATA has no folder `peer`")
-    import genesplat
     from PIL import Image
 
     peer = os.path.join(data, "peer")
@@ -334,6 +337,8 @@ WRONG = [
     ({}, {"render_mode": "N"}, ValueError, "render_mode"),
     ({}, {"rasterize_mode": "blurred"}, ValueError, "rasterize_mode"),
     ({}, {"backgrounds": torch.ones(3)}, ValueError, "backgrounds has the shape"),
+    ({}, {"device": "cuda"}, ValueError, "cuda is no device"),
+    ({}, {"device": "gpu:200"}, genesplat.Error, "no graphics device gpu:200"),
 ]
 
 
@@ -343,10 +348,49 @@ def test_what_is_wrong_or_not_there_is_a_sentence(changed, settings, kind, words
         rendered({**cloud(), **changed}, **settings)
 
 
-def test_cameras_have_no_gradients():
+def test_lenses_have_no_gradients():
     viewmats, Ks = cameras()
     with pytest.raises(NotImplementedError, match="detach"):
-        rasterization(**cloud(), viewmats=viewmats.requires_grad_(), Ks=Ks, width=WIDTH, height=HEIGHT)
+        rasterization(**cloud(), viewmats=viewmats, Ks=Ks.requires_grad_(), width=WIDTH, height=HEIGHT)
+
+
+def test_a_camera_that_is_off_finds_its_place():
+    """By gradients of `viewmats` alone, as trainers that refine poses do."""
+    viewmats, Ks = cameras()
+    settings = {"Ks": Ks, "width": WIDTH, "height": HEIGHT}
+    with torch.no_grad():
+        photo, _, _ = rasterization(**cloud(), viewmats=viewmats, **settings)
+    off = torch.tensor([0.15, -0.1, 0.2]).requires_grad_()
+    optimizer = torch.optim.Adam([off], lr=0.01)
+    for _ in range(80):
+        moved = viewmats + torch.nn.functional.pad(off[None, :, None], (3, 0, 0, 1))
+        image, _, _ = rasterization(**cloud(), viewmats=moved, **settings)
+        optimizer.zero_grad()
+        (image - photo).square().mean().backward()
+        optimizer.step()
+    assert off.abs().max() < 0.02
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_graphics_device_has_the_numbers_of_the_cpu(case):
+    changed, settings = CASES[case]
+    found = []
+    for device in ("cpu", "gpu"):
+        parameters = {**cloud(), "viewmats": cameras(settings.get("count", 1))[0], **changed}
+        leaves = {name: tensor.clone().requires_grad_() for name, tensor in parameters.items()}
+        try:
+            colours, alphas, meta = rendered(leaves, absgrad=True, device=device, **settings)
+        except genesplat.Error as error:
+            assert "GENESPLAT_REQUIRE_GPU" not in os.environ, error
+            pytest.skip(str(error))
+        loss_of(colours, alphas).backward()
+        gradients = {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
+        means2d = meta["means2d"]
+        found.append({"picture": colours, "means2d": means2d.grad, "absgrad": means2d.absgrad, **gradients})
+    assert found[0].keys() == found[1].keys() and len(found[0]) >= 8
+    for name, expected in found[0].items():
+        off = (found[1][name] - expected).norm() / expected.norm()
+        assert off < 1e-4, f"{name}: {off}"
 
 
 def test_the_same_call_gives_the_same_bytes():

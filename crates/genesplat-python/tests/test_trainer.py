@@ -102,6 +102,33 @@ def test_who_leaves_the_loop_can_go_on(scene: gs.Scene, by_command: Path, tmp_pa
     assert digest_of(trainer.splats, tmp_path) == digest(by_command / "point_cloud.ply")
 
 
+def test_as_many_iterations_as_fit_into_minutes(scene: gs.Scene, tmp_path: Path) -> None:
+    """Into a week fit as many as there ever are, and a training that goes on keeps their number."""
+    trainer = gs.Trainer(scene, minutes=10_000, device="cpu", out=tmp_path / "run", every=1)
+    for _ in range(2):
+        for step in trainer:
+            break
+        assert step.iterations == 30_000
+    assert "iterations = 30000" in (tmp_path / "run" / "config.toml").read_text()
+    assert next(iter(gs.Trainer.resume(tmp_path / "run", scene, every=1))).iterations == 30_000
+
+
+@pytest.mark.parametrize(
+    "settings, sentence",
+    [
+        ({"minutes": 5, "iterations": 300}, "takes the place of iterations"),
+        ({"minutes": 5, "steps_scale": 0.5}, "takes the place of iterations"),
+        ({"minutes": 5, "method": "3dgs"}, "give --iterations instead"),
+        ({"minutes": 0}, "between 0.1 and 10000"),
+    ],
+)
+def test_minutes_that_cannot_be_are_refused(
+    scene: gs.Scene, settings: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        gs.Trainer(scene, **settings)
+
+
 def test_a_run_goes_on_from_its_folder(
     scene: gs.Scene, by_command: Path, tmp_path: Path, command: Command
 ) -> None:

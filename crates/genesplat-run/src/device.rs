@@ -85,6 +85,11 @@ impl DeviceChoice {
         if let Self::GpuAt(place) = self { Some(place.into()) } else { None }
     }
 
+    /// Opens the graphics device of this number; the best one where there is none.
+    pub fn open_graphics(self) -> Result<GpuBackend> {
+        Ok(output::without_drivers(|| GpuBackend::at(self.place()))?)
+    }
+
     /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is
     /// known to be well: drivers may write to stderr when they are looked for.
     pub fn resolve(self) -> Result<Self> {
@@ -185,9 +190,7 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 /// Opens the device that is meant.
 pub fn open(choice: DeviceChoice) -> Result<Device> {
     match choice.resolve()? {
-        device if device.is_graphics() => {
-            Ok(Box::new(output::without_drivers(|| GpuBackend::at(device.place()))?))
-        }
+        device if device.is_graphics() => Ok(Box::new(device.open_graphics()?)),
         _ => Ok(Box::new(CpuBackend::new())),
     }
 }

@@ -1,5 +1,6 @@
 //! As many iterations as fit into the time that somebody has.
 
+use std::ops::RangeInclusive;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
@@ -10,6 +11,9 @@ use genesplat_train::{MethodName, Schedule, TrainConfig};
 use crate::cost::{Cost, Tried};
 use crate::device::Device;
 use crate::numbers::{thousands, time_left};
+
+/// What may be asked for.
+pub const RANGE: RangeInclusive<f64> = 0.1..=10_000.0;
 
 /// A longer run is hardly better.
 const MOST: u32 = 30_000;

@@ -11,7 +11,8 @@
 @group(0) @binding(2) var<storage, read> intersections: array<u32>;
 @group(0) @binding(3) var<storage, read> intersection_splats: array<u32>;
 @group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
-// [3, H, W]
+// [3, H, W], then what of the light behind all splats reaches each pixel, if it is asked for.
+override TRANSMITTANCE: bool = false;
 @group(0) @binding(5) var<storage, read_write> image: array<f32>;
 // Of those that this dispatch has.
 @group(0) @binding(6) var<uniform> first_tile_row: u32;
@@ -103,5 +104,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         image[out] = value.x;
         image[pixels + out] = value.y;
         image[2u * pixels + out] = value.z;
+        if TRANSMITTANCE {
+            image[3u * pixels + out] = blended.transmittance;
+        }
     }
 }

@@ -19,6 +19,8 @@
 @group(0) @binding(2) var<storage, read> intersections: array<u32>;
 @group(0) @binding(3) var<storage, read> intersection_splats: array<u32>;
 @group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+// Picture, and the gradient by it; then the same of the transmittance, if the loss is of that, too.
+override TRANSMITTANCE: bool = false;
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> gradient: array<f32>;
 // [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums
@@ -229,6 +231,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let colour = vec3(image[at], image[pixels + at], image[2u * pixels + at]);
         pixel.gradient = vec3(gradient[at], gradient[pixels + at], gradient[2u * pixels + at]);
         pixel.remaining = dot(colour, pixel.gradient);
+        if TRANSMITTANCE {
+            pixel.remaining += image[3u * pixels + at] * gradient[3u * pixels + at];
+        }
         pixel.exponent_min = -LOG2_255;
     } else {
         atomicAdd(&finished_pixels[row.block], 1u);

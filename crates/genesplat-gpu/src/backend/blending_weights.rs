@@ -75,11 +75,11 @@ impl GpuBackend {
     /// One view. Whatever lies where the gradients of green and blue would be has no part in what is summed.
     fn submit_map(&mut self, view: usize, map: &[f32], settings: &RenderSettings, sums: &Sums) -> Result<()> {
         let pass = self.pass_of(view, settings);
-        let needs = Needs { loss: false, gradient: true };
+        let needs = Needs { gradient: true, ..Needs::default() };
         self.submit_view(&pass, None, needs, Held::Cloud, |gpu, recorder| {
             let Self { lists, pixels, .. } = gpu;
             gpu.engine.write(&pixels.gradient, 0, map);
-            pixels.record_backward(recorder, lists, &pass);
+            pixels.record_backward(recorder, lists, &pass, needs);
             recorder.stage("weight_sum");
             for window in gpu.state.trained.windows() {
                 let [counters, tile_counts, first, gradients] = [

@@ -140,7 +140,7 @@ impl GpuBackend {
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
         self.lists.clear_tallies(&mut recorder, pass);
         self.lists.record(&mut recorder, &self.state, held, pass);
-        self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
+        self.pixels.record_rasterise(&mut recorder, &self.lists, pass, needs);
         record(self, &mut recorder);
         recorder.submit();
         self.timestamps = timestamps;

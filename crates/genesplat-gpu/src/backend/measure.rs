@@ -47,7 +47,7 @@ impl GpuBackend {
         losses: &Memory,
     ) -> Result<()> {
         let pass = self.pass_of(view, settings);
-        let needs = Needs { loss: true, gradient: false };
+        let needs = Needs { loss: true, ..Needs::default() };
         self.submit_view(&pass, None, needs, held, |gpu, recorder| {
             let Self { lists, pixels, views, .. } = gpu;
             recorder.stage("loss");

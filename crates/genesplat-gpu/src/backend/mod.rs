@@ -5,6 +5,7 @@
 //! backend.
 
 mod blending_weights;
+mod differentiable;
 pub(crate) mod held;
 mod measure;
 pub(crate) mod queue;

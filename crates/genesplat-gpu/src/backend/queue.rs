@@ -39,11 +39,11 @@ impl GpuBackend {
         let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
         self.state.reserve_step(&self.engine, step)?;
         let optimiser = step.update.as_ref().map(Optimiser::new);
-        let needs = Needs { loss: true, gradient: true };
+        let needs = Needs { loss: true, gradient: true, ..Needs::default() };
         self.submit_view(&pass, optimiser.as_ref(), needs, Held::Cloud, |gpu, recorder| {
             let Self { state, lists, pixels, .. } = gpu;
             pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
-            pixels.record_backward(recorder, lists, &pass);
+            pixels.record_backward(recorder, lists, &pass, needs);
             let optimiser = optimiser.as_ref();
             Optimise { state, lists, pixels, optimiser, step }.record(recorder);
         })

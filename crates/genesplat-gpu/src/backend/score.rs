@@ -99,7 +99,7 @@ impl GpuBackend {
         let pass = ViewPass { rows: pool.versions, layers, ..self.pass_of(view, settings) };
         let PoolBuffers { lists, pixels } = &mut self.pool_buffers;
         lists.reserve(&self.engine, &pass)?;
-        pixels.reserve(&self.engine, &pass, Needs { loss: true, gradient: false }, 0)?;
+        pixels.reserve(&self.engine, &pass, Needs { loss: true, ..Needs::default() }, 0)?;
         let place = window_uniform(&self.engine, [0, layers], [view_index as u32, views as u32])?;
         lists.begin(&self.engine, &pass, None);
 

@@ -129,6 +129,9 @@ shaders! {
     COPY = "shared/copy" + [];
     // How much of each pixel every Gaussian is.
     WEIGHT_SUM = "blend/weight_sum" + [SPLAT_SUMS];
+    // Splats that the host has projected, and what it goes on from after the backward blending.
+    COUNT_TILES = "bin/count_tiles" + [SPLAT, OVERLAP];
+    SPLAT_SUMS = "blend/splat_sums" + [SPLAT_SUMS];
 }
 
 /// Name and WGSL of every kernel, as devices with 24 KiB a workgroup compile it: what tools count.

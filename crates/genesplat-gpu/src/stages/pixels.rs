@@ -15,11 +15,20 @@ pub(crate) const INTERSECTION_GRADIENT_BYTES: u64 = 4 * INTERSECTION_GRADIENT_FL
 pub(crate) struct Needs {
     pub(crate) loss: bool,
     pub(crate) gradient: bool,
+    /// That picture and gradient have a fourth plane.
+    pub(crate) transmittance: bool,
+}
+
+impl Needs {
+    /// What of `kernel` serves them.
+    fn of(self, kernel: TileKernel) -> TileKernel {
+        if self.transmittance { TileKernel { overrides: &[("TRANSMITTANCE", 1)], ..kernel } } else { kernel }
+    }
 }
 
 /// Buffers of the size of a picture, and of the tile lists, reused from view to view.
 pub(crate) struct Pixels {
-    /// The render `[3, H, W]`.
+    /// The render `[3, H, W]`, and the transmittance `[H, W]` where that is asked for.
     pub(crate) image: Memory,
     /// SSIM's partial derivatives by each of its moments `[3, H, W]`.
     partials: [Memory; 3],
@@ -54,10 +63,10 @@ impl Pixels {
         &mut self,
         engine: &Engine,
         view: &ViewPass,
-        Needs { loss, gradient }: Needs,
+        Needs { loss, gradient, transmittance }: Needs,
         intersections: u64,
     ) -> Result<()> {
-        let image = view.image_bytes();
+        let image = view.image_bytes() / 3 * if transmittance { 4 } else { 3 };
         engine.reserve(&mut self.image, image)?;
         if loss {
             // Bound, but not written, where no gradient is wanted.
@@ -72,11 +81,17 @@ impl Pixels {
         Ok(())
     }
 
-    pub(crate) fn record_rasterise(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
+    pub(crate) fn record_rasterise(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        view: &ViewPass,
+        needs: Needs,
+    ) {
         recorder.stage("rasterise");
         let (intersections, splats) = (&lists.intersections, &lists.intersection_splats);
         let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &self.image];
-        lists.run_tiles(recorder, view, tiles::RASTERISE, &parts);
+        lists.run_tiles(recorder, view, needs.of(tiles::RASTERISE), &parts);
     }
 
     /// Stage `loss` against `photo`; leaves the gradient, too.
@@ -113,7 +128,13 @@ impl Pixels {
         lists.run_tiles(recorder, view, kernel, &parts);
     }
 
-    pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
+    pub(crate) fn record_backward(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        view: &ViewPass,
+        needs: Needs,
+    ) {
         recorder.stage("rasterise_backward");
         let parts = [
             &lists.view,
@@ -125,7 +146,7 @@ impl Pixels {
             &self.gradient,
             &self.intersection_gradients,
         ];
-        lists.run_tiles(recorder, view, tiles::RASTERISE_BACKWARD, &parts);
+        lists.run_tiles(recorder, view, needs.of(tiles::RASTERISE_BACKWARD), &parts);
     }
 }
 

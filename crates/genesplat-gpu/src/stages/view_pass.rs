@@ -34,19 +34,26 @@ impl ViewPass {
             limit_x: limit[0],
             limit_y: limit[1],
             dilation: settings.filter.dilation(),
-            width: camera.width,
-            height: camera.height,
-            tiles_x: camera.width.div_ceil(TILE),
-            tiles_y: camera.height.div_ceil(TILE),
-            rows: rows as u32,
             sh_degree: settings.sh_degree.into(),
             filter_kind: match settings.filter {
                 ScreenFilter::Classic => FILTER_CLASSIC,
                 ScreenFilter::Antialiased => FILTER_ANTIALIASED,
                 ScreenFilter::Mip => FILTER_MIP,
             },
-            layers: 1,
             near: camera.near as f32,
+            ..Self::of_splats([camera.width, camera.height], rows)
+        }
+    }
+
+    /// A picture of so many splats on black.
+    pub(crate) fn of_splats([width, height]: [u32; 2], splats: u64) -> Self {
+        Self {
+            width,
+            height,
+            tiles_x: width.div_ceil(TILE),
+            tiles_y: height.div_ceil(TILE),
+            rows: splats as u32,
+            layers: 1,
             ..Self::default()
         }
     }

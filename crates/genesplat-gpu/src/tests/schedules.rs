@@ -12,6 +12,7 @@ use std::collections::HashMap;
 
 use genesplat_core::{BackendError, Held};
 
+use super::differentiable::{pattern, projected};
 use super::evolution::map_of;
 use super::*;
 use crate::device::adapter::WORKGROUP_BYTES;
@@ -78,12 +79,20 @@ fn crowd_with_wide_splats() -> Gaussians {
 /// The bits of what a kernel, and those that run with it, find. A race may ask for lists that no memory
 /// holds.
 fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError> {
-    let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect();
+    let bits = |values: &[f32]| -> Vec<u32> { values.iter().map(|value| value.to_bits()).collect() };
     let settings = settings(3, ScreenFilter::Classic);
     gpu.upload(crowd_with_wide_splats().into())?;
     Ok(match kernel {
         "bin/plan_lists" => planned(&gpu.engine),
         "blend/weight_sum" => bits(&gpu.blending_weights(&[0], &|_| map_of(&small_view()), &settings)?[0]),
+        "blend/splat_sums" => {
+            let camera = small_view().camera;
+            let (_, splats) = projected(crowd_with_wide_splats(), &camera, settings.filter);
+            let size = [camera.width, camera.height];
+            let [by_image, by_left] = pattern(size.iter().product::<u32>() as usize);
+            let sums = gpu.splats_backward(&splats, size, &by_image, &by_left)?;
+            sums.iter().flat_map(|sums| bits(&[&sums.moments[..], &sums.rgb].concat())).collect()
+        }
         "score/view_losses" => {
             let losses = gpu.measure(Held::Cloud, &[0], &settings)?;
             vec![losses[0].loss.to_bits(), losses[0].squared_error.to_bits()]

@@ -6,14 +6,17 @@
 use fearless_simd::Level;
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{BackendError, DensitySignal, Gaussians, RenderSettings};
+use genesplat_core::{BackendError, DensitySignal, Gaussians, RenderSettings, Splat, SplatSums};
 use rayon::prelude::*;
 
-use super::blend::gradient_row::column;
+use super::blend::gradient_row::{GradientRow, column};
 use super::blend::rasterise::transmittance;
-use super::update::{ByTile, Share, SplatGradients, UpdateInputs, gradients};
+use super::update::{BySplat, ByTile, PoseGradient, Share, SplatGradients, UpdateInputs, gradients};
 use super::view::project::project;
-use super::view::{Band, CHUNK, Pinhole, Splat, Splats, ViewBuffers};
+use super::view::{Band, CHUNK, Pinhole, Splats, ViewBuffers};
+
+/// What of the sums strategies of others ask for.
+const SIGNAL: Option<DensitySignal> = Some(DensitySignal::Absolute);
 
 /// A cloud as one camera sees it.
 pub struct DifferentiableView {
@@ -31,6 +34,8 @@ pub struct ViewGradients {
     pub cloud: Gaussians,
     /// By what is between them and the picture `[N]`.
     pub screen: Vec<ScreenGradient>,
+    /// By the camera.
+    pub pose: PoseGradient,
 }
 
 /// Gradients of a loss by what a splat is on the screen.
@@ -93,23 +98,35 @@ impl DifferentiableView {
         by_image: &[f32],
         by_transmittance: &[f32],
     ) -> Result<ViewGradients, BackendError> {
-        let Self { level, cloud, camera, settings, buffers, transmittance } = self;
+        let Self { level, camera, buffers, transmittance, .. } = self;
         buffers.ensure_gradient_rows()?;
-        ensure_memory(cloud.len() * (Gaussians::BYTES_PER_ROW + size_of::<ScreenGradient>()), "gradients")?;
         buffers.image_gradient.clear();
         buffers.image_gradient.extend_from_slice(by_image);
         let terms = transmittance.iter().zip(by_transmittance).map(|(left, gradient)| left * gradient);
         buffers.transmittance_term.clear();
         buffers.transmittance_term.extend(terms);
-        let signal = Some(DensitySignal::Absolute);
-        buffers.draw_backward(*level, (camera, &Band::whole(camera)), signal);
-        let ViewBuffers { splats, bins, gradient_rows, .. } = &*buffers;
-        let sums = ByTile { bins, rows: gradient_rows };
+        buffers.draw_backward(*level, (camera, &Band::whole(camera)), SIGNAL);
+        self.gradients(|buffers| ByTile { bins: &buffers.bins, rows: &buffers.gradient_rows })
+    }
+
+    /// The same from what another device, which has drawn [`Self::splats`], has summed of each of them.
+    pub fn backward_from(&mut self, sums: &[SplatSums]) -> Result<ViewGradients, BackendError> {
+        ensure_memory(self.splats().capacity() * size_of::<GradientRow>(), "gradients of splats")?;
+        self.gradients(|buffers| BySplat::new(&buffers.splats, sums))
+    }
+
+    fn gradients<'a, G: SplatGradients>(
+        &'a mut self,
+        sums_of: impl FnOnce(&'a ViewBuffers) -> G,
+    ) -> Result<ViewGradients, BackendError> {
+        let Self { level, cloud, camera, settings, buffers, .. } = self;
+        ensure_memory(cloud.len() * (Gaussians::BYTES_PER_ROW + size_of::<ScreenGradient>()), "gradients")?;
+        let (splats, sums) = (&buffers.splats, sums_of(buffers));
         let screen = screen_gradients(splats, &sums, &cloud.opacity_logits);
-        let (share, camera) = (Share::whole(cloud.len()), &*camera);
+        let share = Share::whole(cloud.len());
         let inputs = UpdateInputs { splats, gradients: sums, camera, settings, is_masked: false, share };
-        let (cloud, _) = gradients(*level, &inputs, cloud, signal);
-        Ok(ViewGradients { cloud, screen })
+        let (cloud, _, pose) = gradients(*level, &inputs, cloud, SIGNAL);
+        Ok(ViewGradients { cloud, screen, pose })
     }
 }
 

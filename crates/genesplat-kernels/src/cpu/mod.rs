@@ -21,6 +21,7 @@ pub use backend::CpuBackend;
 pub use differentiable::{DifferentiableView, ScreenGradient, ViewGradients};
 pub use loss::{PhotoRows, Target};
 pub use roofline::roofline_nanoseconds_per_intersection;
+pub use update::PoseGradient;
 pub use view::buffers::{StageSeconds, ViewBuffers};
 pub use view::pinhole::Pinhole;
 

@@ -47,7 +47,13 @@ class Scene:
 
 class Training:
     def __init__(
-        self, scene: Scene, settings: str, out: Optional[StrPath], splats: Optional[Cloud], every: int
+        self,
+        scene: Scene,
+        settings: str,
+        minutes: Optional[float],
+        out: Optional[StrPath],
+        splats: Optional[Cloud],
+        every: int,
     ) -> None: ...
     @staticmethod
     def resume(scene: Scene, out: StrPath, every: int) -> Training: ...
@@ -75,12 +81,13 @@ class RasterizedView:
         far: float,
         radius_clip: float,
         antialiased: bool,
+        device: str,
     ) -> None: ...
     def splats(self) -> tuple[Any, Float32, Any, Float32, Float32, Float32]: ...
     def draw(self) -> tuple[Float32, Float32]: ...
     def backward(
         self, by_image: Float32, by_transmittance: Float32
-    ) -> tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Float32]: ...
+    ) -> tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Float32, Float32]: ...
 
 class Rows:
     def __init__(self, means: Float32, scales: Float32, quats: Float32, opacities: Float32) -> None: ...

@@ -55,11 +55,12 @@ class Trainer:
         self,
         scene: Scene,
         method: Union[str, Mapping[str, Any]] = "genesplat",
-        iterations: int = 7000,
+        iterations: Optional[int] = None,
         device: str = "auto",
         seed: int = 0,
         out: Optional[StrPath] = None,
         *,
+        minutes: Optional[float] = None,
         splats: Optional[Splats] = None,
         every: int = 10,
         **settings: Any,
@@ -70,10 +71,12 @@ class Trainer:
             scene: What to train on.
             method: "genesplat", "3dgs", "mcmc", "mip-splatting", "pixel-gs" or "improved-gs"; or a table with
                 its ``name`` and settings (docs/settings.md).
-            iterations: Training steps, one photo each.
+            iterations: Training steps, one photo each; 7000 where neither they nor `minutes` are given.
             device: "auto", "cpu", "gpu" or "gpu:N".
             seed: Of all random numbers.
             out: A folder for all that `genesplat train` leaves: the splat, figures, a page, checkpoints.
+            minutes: As many iterations as fit into them on this machine, at most 30000: the first turn tries
+                a few steps. What the body of the loop takes comes on top. Of method "genesplat" alone.
             splats: Begin with these, and not with the points of the scene (without `out`).
             every: Iterations between two turns of the loop; the last iteration is one too. On a card, each
                 turn waits for the device.
@@ -85,11 +88,14 @@ class Trainer:
             ValueError: A setting is unknown, or cannot be: which, and what it may be.
         """
         self._open(scene, out, every)
-        table = {**settings, "method": method, "iterations": iterations, "device": device, "seed": seed}
+        if minutes is not None and (iterations is not None or "steps_scale" in settings):
+            raise ValueError("minutes takes the place of iterations and of steps_scale; leave these out")
+        length = 7000 if iterations is None else iterations
+        table = {**settings, "method": method, "iterations": length, "device": device, "seed": seed}
         cloud = None if splats is None else splats._cloud()
         text = _text(table, scene.background)
         self._device = device
-        self._training = _native.Training(scene._native, text, out, cloud, every)
+        self._training = _native.Training(scene._native, text, minutes, out, cloud, every)
 
     @classmethod
     def resume(cls, out: StrPath, scene: Optional[Scene] = None, *, every: int = 10) -> Trainer:
@@ -166,7 +172,7 @@ class Trainer:
 def train(
     scene: Scene,
     method: Union[str, Mapping[str, Any]] = "genesplat",
-    iterations: int = 7000,
+    iterations: Optional[int] = None,
     *,
     callback: Optional[Callable[[Step], object]] = None,
     **settings: Any,
@@ -179,7 +185,7 @@ def train(
         iterations: As of `Trainer`.
         callback: Is called after every tenth iteration (``every``), while training waits; what it raises ends
             training.
-        settings: As of `Trainer`, with ``device``, ``seed``, ``out``.
+        settings: As of `Trainer`, with ``minutes``, ``device``, ``seed``, ``out``.
 
     Raises:
         ValueError, Error, KeyboardInterrupt: As `Trainer`.

@@ -4,11 +4,11 @@ compiler.
 >>> from genesplat.torch import rasterization
 >>> image, alpha, meta = rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height)
 
-It works on the CPU, by the kernels that `genesplat train` uses there. Tensors on another device are brought
-to the CPU, and results to the device of `means`. Code that was written for gsplat runs unchanged as long as
-it asks for what is supported: pinhole cameras, any number of cameras and of channels, harmonics up to
-degree 3, backgrounds, depth, both rasterize_modes, absgrad, packed or not; gradients by everything but the
-cameras. What is not supported is refused.
+It works by the kernels of `genesplat train`, on the CPU unless `device` is a graphics card, which then
+sorts and blends, forward and backward. Tensors on another device are brought to the CPU, and results to the
+device of `means`. Code that was written for gsplat runs unchanged as long as it asks for what is supported:
+pinhole cameras, any number of cameras and of channels, harmonics up to degree 3, backgrounds, depth, both
+rasterize_modes, absgrad, packed or not; gradients by everything but `Ks`. What is not supported is refused.
 
 Numbers are gsplat's up to rounding but for one thing: alpha ends at 0.99, as in 3DGS, and not at 0.999.
 """
@@ -69,6 +69,7 @@ def rasterization(
     camera_model: str = "pinhole",
     segmented: bool = False,
     covars: Optional[Tensor] = None,
+    device: str = "cpu",
     **others: Any,
 ) -> Tuple[Tensor, Tensor, Dict[str, Any]]:
     """Renders N Gaussians as C cameras see them.
@@ -93,6 +94,9 @@ def rasterization(
         absgrad: `meta["means2d"].absgrad` is made by the backward pass.
         rasterize_mode: "classic", or "antialiased".
         tile_size, channel_chunk, segmented: accepted; they change no number in gsplat either.
+        device: "cpu", whose results are the same bytes for any number of threads; "gpu", the best graphics
+            device with a Vulkan, Metal or DX12 driver; "gpu:N", that of this number in `genesplat devices`;
+            "auto", a card where there is one.
 
     Returns:
         Pictures [C, H, W, D], alphas [C, H, W, 1], and a dictionary with `means2d` (its gradient is in
@@ -104,6 +108,7 @@ def rasterization(
         TypeError: something is no tensor.
         ValueError: a shape or a value is wrong.
         NotImplementedError: gsplat has it, and this rasteriser has not.
+        Error: there is no such `device`, or it cannot be used.
     """
     refused = {"sparse_grad": sparse_grad, "distributed": distributed, "covars": covars, **others}
     _refuse(refused, eps2d, camera_model)
@@ -115,19 +120,16 @@ def rasterization(
         )
     given = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
     _check_tensors({**given, "viewmats": viewmats, "Ks": Ks, "backgrounds": backgrounds})
-    if torch.is_grad_enabled() and (viewmats.requires_grad or Ks.requires_grad):
-        raise NotImplementedError(
-            "there are no gradients by viewmats and Ks; pass viewmats.detach() and Ks.detach()"
-        )
-    device, dtype = means.device, means.dtype
+    if torch.is_grad_enabled() and Ks.requires_grad:
+        raise NotImplementedError("there are no gradients by Ks; pass Ks.detach()")
     _check_shapes(means, quats, scales, opacities, viewmats, Ks)
     cloud = [_on_cpu(tensor) for tensor in (means, quats, scales, opacities)]
-    cameras = _Cameras(
-        viewmats, Ks, width, height, near_plane, far_plane, radius_clip, rasterize_mode == "antialiased"
-    )
+    is_antialiased = rasterize_mode == "antialiased"
+    limits = (float(near_plane), min(float(far_plane), 3e38), float(radius_clip), is_antialiased, device)
+    cameras = _Cameras(viewmats, Ks, (int(width), int(height)), limits)
     channels = _Channels(_on_cpu(colors), sh_degree, len(means), len(cameras), render_mode)
     views = [_views_of_camera(cloud, cameras, channels, camera) for camera in range(len(cameras))]
-    meta = _meta(views, cloud, cameras, packed, absgrad, device)
+    meta = _meta(views, cloud, cameras, packed, absgrad, means.device)
     drawn = [_draw(of_camera, meta["means2d"], cloud) for of_camera in views]
     colours, alpha = (torch.stack(of_cameras) for of_cameras in zip(*drawn))
     if backgrounds is not None:
@@ -135,7 +137,7 @@ def rasterization(
     if render_mode.endswith("ED"):
         depth = colours[..., -1:] / alpha.clamp(min=1e-10)
         colours = torch.cat([colours[..., :-1], depth], dim=-1)
-    return colours.to(device, dtype), alpha.to(device, dtype), meta
+    return colours.to(means), alpha.to(means), meta
 
 
 def _refuse(others: Dict[str, Any], eps2d: float, camera_model: str) -> None:
@@ -189,24 +191,19 @@ def _array(tensor: Tensor) -> Any:
 
 
 class _Cameras:
-    """The cameras of one call, and what they draw of depths and sizes."""
+    """The cameras of one call, what they draw of depths and sizes, whether antialiased, and on what."""
 
     def __init__(
         self,
         viewmats: Tensor,
         Ks: Tensor,
-        width: int,
-        height: int,
-        near: float,
-        far: float,
-        radius_clip: float,
-        antialiased: bool,
+        size: Tuple[int, int],
+        limits: Tuple[float, float, float, bool, str],
     ) -> None:
-        if width < 1 or height < 1:
-            raise ValueError(f"pictures of {width} x {height} px have no pixels")
-        self.viewmats, self.Ks = _on_cpu(viewmats.detach()), _on_cpu(Ks.detach())
-        self.size = (int(width), int(height))
-        self.limits = (float(near), min(float(far), 3e38), float(radius_clip), antialiased)
+        if min(size) < 1:
+            raise ValueError(f"pictures of {size[0]} x {size[1]} px have no pixels")
+        self.viewmats, self.Ks = _on_cpu(viewmats), _on_cpu(Ks)
+        self.size, self.limits = size, limits
 
     def __len__(self) -> int:
         return len(self.viewmats)
@@ -264,8 +261,11 @@ class _Channels:
 class _View:
     """At most three channels of what one camera sees."""
 
-    def __init__(self, native: RasterizedView, colors: Tensor, channels: int, is_sh: bool) -> None:
-        self.native, self.colors, self.channels, self.is_sh = native, colors, channels, is_sh
+    def __init__(
+        self, native: RasterizedView, colors: Tensor, viewmat: Tensor, channels: int, is_sh: bool
+    ) -> None:
+        self.native, self.channels, self.is_sh = native, channels, is_sh
+        self.colors, self.viewmat = colors, viewmat
         # Where the means of its splats are in `means2d`, and the rows that these are of; all where there
         # are none.
         self.part: Union[int, slice] = 0
@@ -278,7 +278,6 @@ def _views_of_camera(cloud: List[Tensor], cameras: _Cameras, channels: _Channels
     viewmat = cameras.viewmats[camera]
     depths = cloud[0] @ viewmat[2, :3] + viewmat[2, 3]
     means, quats, scales, opacities = (_array(tensor) for tensor in cloud)
-    near, far, radius_clip, antialiased = cameras.limits
     views = []
     for place, (colors, count) in enumerate(channels.parts(camera, depths)):
         degree = channels.sh_degree if channels.has_colors and place == 0 else None
@@ -294,12 +293,9 @@ def _views_of_camera(cloud: List[Tensor], cameras: _Cameras, channels: _Channels
             _array(viewmat),
             _array(cameras.Ks[camera]),
             cameras.size,
-            near,
-            far,
-            radius_clip,
-            antialiased,
+            *cameras.limits,
         )
-        views.append(_View(native, colors, count, degree is not None))
+        views.append(_View(native, colors, viewmat, count, degree is not None))
     if not views:
         raise ValueError("colors has no channels")
     return views
@@ -352,7 +348,8 @@ def _dense(column: Tensor, rows: Tensor, count: int) -> Tensor:
 
 
 def _has_gradient(cloud: List[Tensor], views: List[List[_View]]) -> bool:
-    inputs = cloud + [view.colors for of_camera in views for view in of_camera]
+    of_views = [(view.colors, view.viewmat) for of_camera in views for view in of_camera]
+    inputs = cloud + [tensor for of_view in of_views for tensor in of_view]
     return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
 
 
@@ -361,7 +358,7 @@ def _draw(views: List[_View], means2d: Tensor, cloud: List[Tensor]) -> Tuple[Ten
     drawn = []
     for view in views:
         means_of_view = means2d[view.part].to("cpu")
-        image, left = _Rasterize.apply(view, means_of_view, *cloud, view.colors)
+        image, left = _Rasterize.apply(view, means_of_view, *cloud, view.colors, view.viewmat)
         drawn.append((image[..., : view.channels], left))
     return torch.cat([image for image, _ in drawn], dim=-1), 1.0 - drawn[0][1].unsqueeze(-1)
 
@@ -378,7 +375,7 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx: Any, by_image: Tensor, by_left: Tensor) -> Tuple[Optional[Tensor], ...]:
         view: _View = ctx.view
         arrays = view.native.backward(_array(by_image.permute(2, 0, 1)), _array(by_left))
-        *by_cloud, by_sh, by_rgb, by_means2d, absolute = [torch.from_numpy(array) for array in arrays]
+        *by_cloud, by_sh, by_rgb, by_means2d, absolute, by_viewmat = map(torch.from_numpy, arrays)
         if view.rows is not None:
             by_means2d, absolute = by_means2d[view.rows], absolute[view.rows]
         if view.marked is not None:
@@ -388,7 +385,7 @@ class _Rasterize(torch.autograd.Function):
             by_colors = torch.nn.functional.pad(by_sh[:, :bands], (0, 0, 0, max(0, bands - by_sh.shape[1])))
         else:
             by_colors = by_rgb
-        return (None, by_means2d, *by_cloud, by_colors)
+        return (None, by_means2d, *by_cloud, by_colors, by_viewmat)
 
 
 def _mark(means2d: Any, part: Union[int, slice], absolute: Tensor) -> None:

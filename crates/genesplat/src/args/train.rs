@@ -8,6 +8,7 @@ use clap::Args;
 use genesplat::flags::{LpipsArgs, MORE, MachineArgs, choice, scale};
 use genesplat::io::archive::is_zip;
 use genesplat::run::exposure::Corrections;
+use genesplat::run::minutes::RANGE;
 use genesplat::run::settings::{PhotosAsked, Training};
 use genesplat::train::{Background, MethodConfig, MethodName, TrainConfig};
 
@@ -286,8 +287,10 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
 }
 
 fn minutes(text: &str) -> Result<f64, String> {
-    let valid = |minutes: &f64| (0.1..=10_000.0).contains(minutes);
-    text.parse().ok().filter(valid).ok_or_else(|| "a number between 0.1 and 10000 is needed".into())
+    text.parse()
+        .ok()
+        .filter(|minutes| RANGE.contains(minutes))
+        .ok_or_else(|| "a number between 0.1 and 10000 is needed".into())
 }
 
 fn positive(text: &str) -> Result<usize, String> {

@@ -1,7 +1,7 @@
 //! What a splat's gradient is made of in one tile: a row of 16 sums over pixels.
 
 use fearless_simd::{Simd, f32x4, f32x8, f64x2, prelude::*};
-use genesplat_core::DensitySignal;
+use genesplat_core::{DensitySignal, SplatSums};
 
 use crate::cpu::simd::{LANES, array};
 
@@ -49,6 +49,16 @@ impl GradientRow {
         row[column::XX] = xx - 2.0 * ox * x + ox * ox * one;
         row[column::XY] = xy - ox * y - oy * x + ox * oy * one;
         row[column::YY] = yy - 2.0 * oy * y + oy * oy * one;
+    }
+}
+
+impl From<&SplatSums> for GradientRow {
+    fn from(sums: &SplatSums) -> Self {
+        let mut row = Self::default();
+        row.0[..column::ABS_X].copy_from_slice(&sums.moments);
+        row.0[column::ABS_X..column::RED].copy_from_slice(&sums.absolute_mean_px);
+        row.0[column::RED..column::PIXELS].copy_from_slice(&sums.rgb);
+        row
     }
 }
 

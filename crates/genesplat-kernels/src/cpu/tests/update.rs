@@ -38,7 +38,7 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         let now = backend.download().unwrap().into_owned();
         let (buffers, camera) = buffers_of(&now, &settings, None);
         let inputs = inputs(&buffers, &camera, &settings, now.len());
-        let (gradient, _) = gradients(Level::new(), &inputs, &mut now.clone(), None);
+        let (gradient, ..) = gradients(Level::new(), &inputs, &mut now.clone(), None);
         let gradient = Cloud64::from(&gradient);
         reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());
         backend.train_step(&step).unwrap();

@@ -3,6 +3,7 @@
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{Gaussians, Genes, Moments, Statistics};
 
+use super::pose::PoseGradient;
 use crate::cpu::view::CHUNK;
 use crate::cpu::view::geometry::RawRow;
 
@@ -16,6 +17,8 @@ pub(crate) struct ChunkGradients {
     pub density: Box<[[f32; 2]; CHUNK]>,
     /// Rows with a splat.
     pub touched: Vec<u32>,
+    /// By the pose of the camera, summed, where it is asked for.
+    pub pose: Option<PoseGradient>,
 }
 
 impl Default for ChunkGradients {
@@ -26,6 +29,7 @@ impl Default for ChunkGradients {
             sh: Box::new([[0.0; SH_STRIDE]; CHUNK]),
             density: Box::new([[0.0; 2]; CHUNK]),
             touched: Vec::with_capacity(CHUNK),
+            pose: None,
         }
     }
 }

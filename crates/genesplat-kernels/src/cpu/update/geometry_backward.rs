@@ -18,6 +18,9 @@ pub(crate) struct LaneGradients<S: Simd> {
     pub log_scale: [V<S>; 3],
     pub rotation: [V<S>; 4],
     pub opacity_logit: V<S>,
+    /// By the mean in camera coordinates, and by `u`: what poses need.
+    pub t: [V<S>; 3],
+    pub u: [[V<S>; 3]; 2],
 }
 
 /// From the sums of 16 splats' gradient rows back to raw parameters, colours apart.
@@ -77,7 +80,7 @@ pub(crate) fn geometry_backward<S: Simd>(
     let t = camera_gradient(g, &u, mean_px, camera);
     let m = &camera.rotation;
     let position = array!(axis => t[0] * m[0][axis] + t[1] * m[1][axis] + t[2] * m[2][axis]);
-    LaneGradients { mean_px, position, log_scale, rotation, opacity_logit }
+    LaneGradients { mean_px, position, log_scale, rotation, opacity_logit, t, u }
 }
 
 /// `dL/d[a, b, c]` of the dilated covariance: `Q S Q / 2` with S the second moments of p; b counts twice.

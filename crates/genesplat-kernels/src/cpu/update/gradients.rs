@@ -1,7 +1,10 @@
 //! Where the gradient rows of a view are.
 
+use genesplat_core::SplatSums;
+
 use super::super::bin::Bins;
 use super::super::blend::gradient_row::GradientRow;
+use super::super::view::Splats;
 use crate::cpu::simd::prefetch;
 
 /// The gradient rows of the splats of a view, by index.
@@ -34,5 +37,26 @@ impl SplatGradients for ByTile<'_> {
             sum.add(&self.rows[place as usize]);
         }
         sum
+    }
+}
+
+/// As another device leaves them: summed, by index.
+pub(crate) struct BySplat(Vec<GradientRow>);
+
+impl BySplat {
+    /// Of splats in their order.
+    pub(crate) fn new(splats: &Splats, sums: &[SplatSums]) -> Self {
+        let mut rows = vec![GradientRow::default(); splats.capacity()];
+        splats.iter().zip(sums).for_each(|((index, _), sums)| rows[index as usize] = sums.into());
+        Self(rows)
+    }
+}
+
+impl SplatGradients for BySplat {
+    fn prefetch(&self, _: usize) {}
+
+    #[inline(always)]
+    fn sum(&self, splat: usize) -> GradientRow {
+        self.0[splat]
     }
 }

@@ -43,6 +43,9 @@ pub(crate) fn project_backward<S: Simd>(
         let columns: [V<S>; LANES] = array!(k => V::simd_from(simd, sums[k]));
         let gradients =
             geometry_backward(&params, &geometry, &columns, inputs.camera, inputs.settings.filter);
+        if let Some(pose) = &mut out.pose {
+            pose.add_geometry(&params, &geometry, &gradients, inputs.camera, splats.len());
+        }
         // 3. Colours, and everything to its row.
         for (lane, splat) in splats.iter().enumerate() {
             store(inputs, view, signal, splat, lane, &sums, &gradients, &geometry.t[2], out);
@@ -79,6 +82,9 @@ fn store<S: Simd>(
     let (sh, degree) = (&view.rows.sh[local], inputs.settings.sh_degree);
     let centre = inputs.camera.centre_in_world;
     let by_direction = colour_backward(sh, position, centre, degree, rgb, &mut out.sh[local]);
+    if let Some(pose) = &mut out.pose {
+        pose.add_colour(by_direction);
+    }
     let genes = &mut out.genes[local];
     for axis in 0..3 {
         genes[axis] = gradients.position[axis][lane] + by_direction[axis];

@@ -10,6 +10,7 @@ pub(crate) mod splats;
 
 pub use band::Band;
 pub(crate) use buffers::{StageSeconds, ViewBuffers, timed};
+pub use genesplat_core::Splat;
 pub(crate) use pinhole::{Pinhole, TILE};
 pub(crate) use project::Colours;
-pub use splats::{CHUNK, Splat, Splats};
+pub use splats::{CHUNK, Splats};

@@ -3,13 +3,13 @@
 use fearless_simd::{Level, Simd, dispatch};
 use genesplat_core::constants::{ALPHA_MIN, DISCRIMINANT_MIN};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
-use genesplat_core::{Gaussians, Genes, RenderSettings};
+use genesplat_core::{Gaussians, Genes, RenderSettings, Splat};
 use rayon::prelude::*;
 
 use super::colour::colour;
 use super::geometry::{Geometry, Params};
 use super::pinhole::{Pinhole, TILE};
-use super::splats::{CHUNK, Splat, Splats};
+use super::splats::{CHUNK, Splats};
 use crate::cpu::bin::LOG2_255;
 use crate::cpu::simd::{LANES, LOG2_E, array, lanes_of};
 

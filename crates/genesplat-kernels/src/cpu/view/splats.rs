@@ -1,42 +1,12 @@
 //! The splats of a view: what stage `project` writes and all later stages read.
 
+use genesplat_core::Splat;
+
 use crate::cpu::bytes_of;
 
 /// Rows that one task projects and updates. A constant, so that results do not depend on the number of
 /// threads.
 pub const CHUNK: usize = 256;
-
-/// One splat of one view: a cache line.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(64))]
-pub struct Splat {
-    /// Mean, px.
-    pub mean_px: [f32; 2],
-    /// `[−½·A, −B, −½·C] · log2(e)` of the inverse covariance `[A B; B C]`: the exponent comes out in powers
-    /// of two.
-    pub conic_log2: [f32; 3],
-    /// `log2` of the effective opacity.
-    pub log2_opacity: f32,
-    /// Colour, not below 0.
-    pub rgb: [f32; 3],
-    /// Camera z, world units.
-    pub depth: f32,
-    /// Half extent of the ellipse `alpha ≥ 1/255`, px.
-    pub half_extent_px: [f32; 2],
-    /// Row of the cloud; of `project_versions`, index of the version.
-    pub row: u32,
-    /// Bit `c` is set where channel `c` was clamped at 0.
-    pub clamped: u32,
-}
-
-impl Splat {
-    /// The same with its mean in px from `origin` (the corner of a tile).
-    #[inline(always)]
-    pub fn seen_from(&self, origin: [usize; 2]) -> Self {
-        let mean_px = [self.mean_px[0] - origin[0] as f32, self.mean_px[1] - origin[1] as f32];
-        Self { mean_px, ..*self }
-    }
-}
 
 /// The splats of a view: each chunk of rows has as many slots as rows, and its splats fill the first of them,
 /// in row order. A splat's index is its slot.
