@@ -43,14 +43,15 @@ pub fn load_to_inspect(dataset: &Dataset, seed: u64) -> Result<Scene> {
 }
 
 /// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`. It
-/// lies where the splat does, by this `offset`.
+/// lies where the splat does, by this `offset`; of a `sample`, at most so many photos are loaded.
 pub(crate) fn load_to_look(
     dataset: &Dataset,
     divisor: u32,
     background: [f32; 3],
     offset: Option<Offset>,
+    sample: Option<NonZeroUsize>,
 ) -> Result<Scene> {
-    let options = LoadOptions { divisor, offset, with_points: false, ..dataset.options() };
+    let options = LoadOptions { divisor, offset, sample, with_points: false, ..dataset.options() };
     told(read(&dataset.path, background, options))
 }
 

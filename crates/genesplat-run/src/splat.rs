@@ -71,7 +71,7 @@ impl Splat {
     ///
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub fn load_scene(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
-        let scene = self.load(data, asked)?;
+        let scene = self.load(data, asked, None)?;
         scene.doubts.iter().for_each(|doubt| output::tell(&format!("notice: {}", doubt.problem)));
         Ok(scene)
     }
@@ -79,16 +79,21 @@ impl Splat {
     /// The same, without a word about its doubts, and with training photos at the exposure that training sees,
     /// if the run brought them to it.
     pub fn load_scene_to_train(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
-        let mut scene = self.load(data, asked)?;
+        let mut scene = self.load(data, asked, None)?;
         if let Some(exposure) = self.exposure(&scene, asked) {
             exposure.bring(&mut scene, None)?;
         }
         Ok(scene)
     }
 
-    fn load(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
+    /// At most so many photos in `data`, as [`Self::load_scene`] loads them.
+    pub fn load_some(&self, data: &Path, asked: &PhotosAsked, most: NonZeroUsize) -> Result<Scene> {
+        self.load(data, asked, Some(most))
+    }
+
+    fn load(&self, data: &Path, asked: &PhotosAsked, most: Option<NonZeroUsize>) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
-        let load = |offset| scene::load_to_look(&dataset, divisor, self.settings.background, offset);
+        let load = |offset| scene::load_to_look(&dataset, divisor, self.settings.background, offset, most);
         let scene = match load(self.frame().or(Some(Offset::default()))) {
             Err(error) if self.frame().is_none() && is_far(&error) => load(None),
             loaded => loaded,

@@ -31,19 +31,20 @@ class Poses:
     left_out: list[str] = field(repr=False)
 
 
-def poses(photos: StrPath, out: StrPath, *, frames: Optional[int] = None) -> Poses:
+def poses(photos: StrPath, out: StrPath, *, frames: Optional[int] = None, all_pairs: bool = False) -> Poses:
     """Find the cameras of photos that have none, by pycolmap (``pip install 'genesplat[poses]'``).
 
     Args:
         photos: A folder of photos, a video, or a ZIP of one.
         out: A folder for the scene. A search that was stopped goes on there.
         frames: How many photos are taken from a video; 120 by default.
+        all_pairs: Compare each photo with each other, however many there are; by default, of up to 150.
 
     Raises:
         Error: Nobody on this machine finds cameras, or none are found: why, and what to do.
         KeyboardInterrupt: After Ctrl-C.
     """
     use_this_python()
-    found: dict[str, Any] = json.loads(_native.poses(photos, out, frames))
+    found: dict[str, Any] = json.loads(_native.poses(photos, out, frames, all_pairs))
     names = ["photos", "registered", "points", "reprojection_error_px", "left_out"]
     return Poses(os.fspath(out), **{name: found[name] for name in names})

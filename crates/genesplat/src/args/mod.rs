@@ -118,6 +118,10 @@ pub(crate) struct InspectArgs {
     /// Of so many steps [default: 30000]
     #[arg(long, value_name = "N", requires = "method", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
     pub(crate) iterations: Option<u32>,
+    /// Folder of a scene: also say how well the splat, or that of the run, shows some of its photos, and
+    /// whether it is one of this scene at all
+    #[arg(long, value_name = "DATASET")]
+    pub(crate) data: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
     #[command(flatten)]

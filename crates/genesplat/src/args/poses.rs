@@ -19,6 +19,10 @@ pub(crate) struct PosesArgs {
     /// Photos to take from a video, the sharpest of each interval [default: 120]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=10_000))]
     pub(crate) frames: Option<u32>,
+    /// Compare each photo with each other, however many there are, which may find the last cameras and takes
+    /// much longer; a search that compared fewer goes on from there [default: where there are at most 150]
+    #[arg(long, help_heading = MORE)]
+    pub(crate) all_pairs: bool,
     /// Processor threads to use, 1 to 1024 [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS), help_heading = MORE)]
     pub(crate) threads: Option<u16>,

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, View, median};
 use genesplat::io::format::{self, Options};
 use genesplat::io::photos::write_png;
 use genesplat::io::{Scene, plural, shown};
+use genesplat::metrics::Evaluation;
 use genesplat::run::device::Device;
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::{Bar, WriteBar};
@@ -19,6 +20,7 @@ use genesplat::terminal::output;
 use genesplat::train::floaters::{Unsupported, support, unsupported};
 use glam::DVec3;
 
+use super::another_scene::Misses;
 use crate::args::CleanArgs;
 
 /// Fewer photos do not tell what is supported.
@@ -41,9 +43,12 @@ pub(crate) fn run(args: &CleanArgs) -> Result<()> {
     let scene = load(&splat, args)?;
     let mut device = device::open(args.splat.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
-    let reasons = look(&mut device, &splat, &scene)?;
     let judges = Judges::of(&scene);
-    let before = judges.psnr(&mut device, &splat.settings)?;
+    let before = judges.scores(&mut device, &splat.settings)?;
+    if !args.anyway && !splat.began_with(&scene) {
+        judges.check_shown(&before, &scene, &args.splat.path)?;
+    }
+    let (before, reasons) = (before.psnr, look(&mut device, &splat, &scene)?);
     let aside = step_back(&judges.views[0].camera, &splat.cloud);
     let pictured = picture(&mut device, &aside, &splat.settings)?;
     let left = supported(&splat.cloud, &reasons);
@@ -54,7 +59,7 @@ pub(crate) fn run(args: &CleanArgs) -> Result<()> {
         shown(&args.splat.path)
     );
     device.upload(left.clone().into())?;
-    let after = judges.psnr(&mut device, &splat.settings)?;
+    let after = judges.scores(&mut device, &splat.settings)?.psnr;
     let told = told(&reasons);
     judges.check(before, after, &told, args)?;
     let pictures = [pictured, picture(&mut device, &aside, &splat.settings)?];
@@ -143,8 +148,16 @@ impl<'a> Judges<'a> {
         }
     }
 
-    fn psnr(&self, device: &mut Device, settings: &RenderSettings) -> Result<f64> {
-        Ok(evaluate_all(device, self.views, settings, None, None)?.scores.psnr)
+    fn scores(&self, device: &mut Device, settings: &RenderSettings) -> Result<Evaluation> {
+        Ok(evaluate_all(device, self.views, settings, None, None)?.scores)
+    }
+
+    /// Fails where the splat is one of another scene: no photo supports any of it.
+    fn check_shown(&self, scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
+        let problem = Misses::of(self.views, scores)?.problem(path, &scene.name);
+        problem.map_or(Ok(()), |problem| {
+            bail!("{problem}; give the --data that it was trained on, or go on with --anyway")
+        })
     }
 
     /// Fails where they look worse, unless that is accepted.

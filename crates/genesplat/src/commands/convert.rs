@@ -9,6 +9,7 @@ use genesplat::core::{Gaussians, RenderSettings, Similarity, View, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{Offset, offset, plural, shown};
+use genesplat::metrics::Evaluation;
 use genesplat::run::CLOUD;
 use genesplat::run::device::Device;
 use genesplat::run::exposure::{Exposure, Light};
@@ -21,6 +22,7 @@ use genesplat::run::{device, files, splat};
 use genesplat::terminal::output;
 use glam::{DQuat, DVec3};
 
+use super::another_scene::Misses;
 use super::loss::{PHOTOS, Sample};
 use super::next;
 use crate::args::ConvertArgs;
@@ -73,10 +75,19 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     Ok(())
 }
 
+/// All test photos of the scene that is named.
+struct Asked {
+    views: Vec<View>,
+    /// If the run brought its photos to one.
+    exposure: Option<Exposure>,
+    scene: String,
+    /// The splat is known to be of this scene.
+    is_own: bool,
+}
+
 /// What a loss is measured on.
 enum Photos {
-    /// All that are asked for, and their exposure, if the run brought its photos to one.
-    Asked(Vec<View>, Option<Exposure>),
+    Asked(Asked),
     /// Some of a run's.
     Sampled(Sample),
 }
@@ -98,7 +109,8 @@ fn photos(splat: &Splat, format: Format, args: &ConvertArgs) -> Result<Option<Ph
         scene.name
     );
     let exposure = splat.exposure(&scene, &asked);
-    Ok(Some(Photos::Asked(scene.test, exposure)))
+    let is_own = splat.began_with(&scene);
+    Ok(Some(Photos::Asked(Asked { views: scene.test, exposure, scene: scene.name, is_own })))
 }
 
 fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
@@ -143,6 +155,7 @@ fn say_loss(
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let before = score(photos, &mut backend, "before", &settings)?;
+    doubt(photos, &before, &args.splat)?;
     let mut written = splat::open(&args.out)?;
     // What is far from its origin is moved anew when it is read.
     let moved = DVec3::from(written.offset.unwrap_or_default()) - DVec3::from(offset.unwrap_or_default());
@@ -152,21 +165,28 @@ fn say_loss(
     let shown = RenderSettings { background: settings.background, ..written.settings };
     let after = score(photos, &mut backend, "after", &shown)?;
     match photos {
-        Photos::Asked(..) => output::print(&format!("lost   {:.2} dB", before - after)),
-        Photos::Sampled(sample) => sample.tell(before, after),
+        Photos::Asked(_) => output::print(&format!("lost   {:.2} dB", before.psnr - after.psnr)),
+        Photos::Sampled(sample) => sample.tell(before.psnr, after.psnr),
     }
 }
 
-/// PSNR of what the device holds, dB.
-fn score(photos: &Photos, backend: &mut Device, when: &str, settings: &RenderSettings) -> Result<f64> {
+/// Of photos of another scene, a loss tells nothing.
+fn doubt(photos: &Photos, scores: &Evaluation, splat: &Path) -> Result<()> {
+    let Photos::Asked(Asked { views, scene, is_own: false, .. }) = photos else { return Ok(()) };
+    Misses::of(views, scores)?.notice(splat, scene);
+    Ok(())
+}
+
+/// How what the device holds shows the photos.
+fn score(photos: &Photos, backend: &mut Device, when: &str, settings: &RenderSettings) -> Result<Evaluation> {
     match photos {
-        Photos::Asked(views, exposure) => {
+        Photos::Asked(Asked { views, exposure, .. }) => {
             let light = exposure.as_ref().map(Light::finished);
             let found = evaluate_all(backend, views, settings, None, light)?;
             output::print(&format!("{when:<6} {}", output::scores_told("test", &found)))?;
-            Ok(found.scores.psnr)
+            Ok(found.scores)
         }
-        Photos::Sampled(sample) => sample.psnr(backend, settings),
+        Photos::Sampled(sample) => sample.scores(backend, settings),
     }
 }
 

@@ -13,7 +13,7 @@ use genesplat::run::{device, lpips, splat};
 use genesplat::terminal::output;
 use serde::Serialize;
 
-use super::another_scene::another_scene;
+use super::another_scene::Misses;
 use super::{evaluate_pictures, lpips_install, next};
 use crate::args::EvaluateArgs;
 
@@ -87,10 +87,9 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), light)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_told(name, &found)))?;
-    let doubt = if is_own { None } else { another_scene(path, &scene.name, views, &found.scores)? };
-    doubt.iter().for_each(|doubt| {
-        output::tell(&format!("notice: {doubt}; give the --data that it was trained on"));
-    });
+    if !is_own {
+        Misses::of(views, &found.scores)?.notice(path, &scene.name);
+    }
     args.json.write(&report(scene.name, (args.split, size, gaussians), found))?;
     if args.json.path.is_none() {
         next::after_splat(path);

@@ -25,6 +25,7 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
     let (settings, offset) = (splat.settings, splat.offset);
+    let is_own = scene.as_ref().is_some_and(|scene| splat.began_with(scene));
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
     let spz = take_along::spz(&args.out, &splat.cloud, &settings)?;
     let (page, views, loss) = match &scene {
@@ -35,8 +36,13 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
             let shots = take_along::shoot(scene, &mut renderer)?;
             let page =
                 take_along::page(&spz, &title, renderer.cloud()?.as_ref(), &settings, Some(scene), &shots);
-            let before =
-                |sample: Sample| -> Result<_> { Ok((sample.psnr(&mut backend, &settings)?, sample)) };
+            let before = |sample: Sample| -> Result<_> {
+                let scores = sample.scores(&mut backend, &settings)?;
+                if !is_own {
+                    sample.misses(&scores)?.notice(&args.splat.path, &scene.name);
+                }
+                Ok((scores.psnr, sample))
+            };
             let loss = Sample::of(scene).map(before).transpose()?;
             (page, shots.len(), loss.map(|(before, sample)| (sample, before, backend)))
         }

@@ -18,8 +18,14 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     // A zip that is no splat is one of a scene, which `inspect_scene` has a sentence for.
     let is_splat = what.is_file() && !(is_zip(what) && Format::of(what).is_none());
     ensure!(
-        args.photos == PhotosArgs::default() || !(is_splat || is_run(what)),
-        "{} is no scene, so no photos are looked at; leave out the options that are about photos",
+        args.photos == PhotosArgs::default() || args.data.is_some() || !(is_splat || is_run(what)),
+        "{} is no scene, so no photos are looked at; leave out the options that are about photos, or give the scene that it shows as \
+         --data",
+        shown(what)
+    );
+    ensure!(
+        args.data.is_none() || is_splat || is_run(what),
+        "{} is a scene itself; give the splat that shows --data, or leave --data out",
         shown(what)
     );
     ensure!(
@@ -27,10 +33,12 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
         "{} is no scene, so nothing is to be trained; leave --method out",
         shown(what)
     );
+    let asked = args.photos.asked()?;
+    let photos = args.data.as_deref().map(|data| (data, &asked));
     let report = match () {
-        () if is_splat => inspect_splat(what)?,
-        () if is_run(what) => inspect_run(what)?,
-        () => inspect_scene(&Dataset::of(what, &args.photos.asked()?), &config_of(args))?,
+        () if is_splat => inspect_splat(what, photos)?,
+        () if is_run(what) => inspect_run(what, photos)?,
+        () => inspect_scene(&Dataset::of(what, &asked), &config_of(args))?,
     };
     output::print(&report.to_text())?;
     args.json.write(&report)?;

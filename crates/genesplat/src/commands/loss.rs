@@ -5,9 +5,12 @@ use std::num::NonZeroUsize;
 use anyhow::Result;
 use genesplat::core::{Gaussians, RenderSettings, View};
 use genesplat::io::{Scene, plural};
+use genesplat::metrics::Evaluation;
 use genesplat::run::device::Device;
 use genesplat::run::score::evaluate_all;
 use genesplat::terminal::output;
+
+use super::another_scene::Misses;
 
 /// Photos that a loss is measured on where nobody asks for it: their mean is within a hundredth of a dB of
 /// that of all, and they take seconds.
@@ -30,12 +33,17 @@ impl Sample {
         (!views.is_empty()).then_some(Self { views, is_test })
     }
 
-    /// Mean PSNR of the cloud that `device` holds, dB.
-    pub(super) fn psnr(&self, device: &mut Device, settings: &RenderSettings) -> Result<f64> {
-        Ok(evaluate_all(device, &self.views, settings, None, None)?.scores.psnr)
+    /// Of the cloud that `device` holds.
+    pub(super) fn scores(&self, device: &mut Device, settings: &RenderSettings) -> Result<Evaluation> {
+        Ok(evaluate_all(device, &self.views, settings, None, None)?.scores)
     }
 
-    /// The same of `cloud`, which it is given.
+    /// How many of the photos are not those of the splat that has these scores.
+    pub(super) fn misses(&self, scores: &Evaluation) -> Result<Misses> {
+        Misses::of(&self.views, scores)
+    }
+
+    /// Mean PSNR of `cloud`, which it is given, dB.
     pub(super) fn psnr_of(
         &self,
         device: &mut Device,
@@ -43,7 +51,7 @@ impl Sample {
         settings: &RenderSettings,
     ) -> Result<f64> {
         device.upload(cloud.into())?;
-        self.psnr(device, settings)
+        Ok(self.scores(device, settings)?.psnr)
     }
 
     /// Says the difference.

@@ -1,6 +1,6 @@
 //! One module a command.
 
-mod another_scene;
+pub(crate) mod another_scene;
 mod clean;
 mod convert;
 mod demo;

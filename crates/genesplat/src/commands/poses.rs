@@ -12,8 +12,8 @@ use crate::poses::{self, Request};
 pub(crate) fn run(args: &PosesArgs) -> Result<Ending> {
     device::use_threads(args.threads)?;
     let stop = interrupt::stop_flag();
-    let PosesArgs { photos, out, frames, threads } = args;
-    let request = Request { photos, out, frames: *frames, threads: *threads };
+    let PosesArgs { photos, out, frames, all_pairs, threads } = args;
+    let request = Request { photos, out, frames: *frames, all_pairs: *all_pairs, threads: *threads };
     let Some(summary) = poses::find(&request, &stop)? else {
         output::print("stopped; the same command goes on from there")?;
         return Ok(Ending::Stopped);

@@ -25,7 +25,7 @@ use genesplat::train::{
 };
 use toml::Table;
 
-use super::another_scene::another_scene;
+use super::another_scene::Misses;
 use super::next;
 use crate::args::RefineArgs;
 
@@ -141,7 +141,7 @@ fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
 
 /// Fails where a splat is one of another scene, or in another frame. `scores` are those of all training photos.
 fn check_shows(scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
-    let problem = another_scene(path, &scene.name, &scene.train, scores)?;
+    let problem = Misses::of(&scene.train, scores)?.problem(path, &scene.name);
     problem.map_or(Ok(()), |problem| {
         bail!("{problem}; give the --data that it was trained on, or go on with --anyway")
     })

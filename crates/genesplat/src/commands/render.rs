@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use anyhow::{Result, anyhow, ensure};
 use genesplat::core::{Photo, View};
 use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, ending, photos, plural, shown};
+use genesplat::metrics::psnr_under;
 use genesplat::run::exposure::{Exposure, Light};
 use genesplat::run::files::check_folder;
 use genesplat::run::output::Bar;
@@ -17,6 +18,7 @@ use genesplat::run::{device, files, overwrite, scene, splat};
 use genesplat::terminal::program::Ending;
 use genesplat::terminal::{interrupt, output};
 
+use super::another_scene::{Misses, every};
 use super::next;
 use super::render_path::{self, is_film};
 use crate::args::{RenderArgs, RenderSplit};
@@ -61,6 +63,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     let scene = splat.load_scene(&data, &args.splat.photos.asked()?)?;
     let exposure = if args.as_photo { Some(own_exposure(args, &splat, &scene)?) } else { None };
     let light = exposure.as_ref().map(Light::finished);
+    let (is_own, scene_name) = (splat.began_with(&scene), scene.name.clone());
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
         let has_some = !scene.test.is_empty();
@@ -82,7 +85,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     let mut backend = device::open(args.splat.machine.device().unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
-    let mut done = 0;
+    let (mut done, mut misses, every) = (0, Misses::default(), every(jobs.len()));
     for (view, place) in &jobs {
         if stop.load(Ordering::Relaxed) {
             break;
@@ -91,11 +94,19 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         if let Some(light) = light {
             light.of_photo(&view.name).put_on(&mut image, &view.camera);
         }
-        place.write(&image.to_photo())?;
+        let picture = image.to_photo();
+        if done % every == 0 {
+            let psnr = psnr_under(view.mask.as_deref(), &picture, view.photo.read()?.as_ref())?;
+            misses.count(view, psnr)?;
+        }
+        place.write(&picture)?;
         done += 1;
         bar.set(done as u64, String::new);
     }
     drop(bar);
+    if !is_own {
+        misses.notice(&args.splat.path, &scene_name);
+    }
     let (pictures, out) = (plural(done, "picture", "pictures"), shown(&args.out));
     if done < jobs.len() {
         output::print(&format!("stopped; {done} {pictures} of {} written to {out}", jobs.len()))?;

@@ -225,7 +225,8 @@ fn ending(ended: &Ended) -> Ending {
 
 /// Makes the scene of photos without cameras; false where it was stopped.
 fn find_cameras(args: &TrainArgs, threads: Option<u16>, stop: &AtomicBool) -> Result<bool> {
-    let request = Request { photos: args.dataset(), out: &args.scene(), frames: None, threads };
+    let (photos, out) = (args.dataset(), &args.scene());
+    let request = Request { photos, out, frames: None, all_pairs: false, threads };
     let found = poses::find(&request, stop)?;
     let Some(summary) = found else { return Ok(false) };
     summary.sentences().iter().for_each(|sentence| output::tell(sentence));

@@ -4,6 +4,7 @@ mod cameras;
 mod cost;
 mod photos;
 mod scene;
+mod shows;
 mod splat;
 
 use genesplat::io::{Offset, offset};

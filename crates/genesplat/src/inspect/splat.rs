@@ -13,6 +13,7 @@ use genesplat::run::numbers::{duration, thousands};
 use genesplat::run::session::has_checkpoint;
 use genesplat::run::splat::{self, Splat};
 
+use super::shows::{self, Photos};
 use super::{Fact, Report, offset};
 
 /// A Gaussian is invisible below this opacity: no pixel shows it.
@@ -23,16 +24,18 @@ const HUGE: f64 = 3.0;
 const MANY_INVISIBLE: f64 = 0.3;
 const MANY_HUGE: f64 = 0.01;
 
-pub(crate) fn inspect_splat(path: &Path) -> Result<Report> {
+/// What a splat is, and how it shows `photos`, where some are given.
+pub(crate) fn inspect_splat(path: &Path, photos: Option<Photos<'_>>) -> Result<Report> {
     let splat = open(path)?;
     let (mut facts, mut warnings) = look(&splat.cloud, splat.settings, path);
     facts.extend(splat.offset.map(offset));
     warnings.extend(splat::coarse_steps(splat.step, &splat.cloud));
+    shows::add(&mut facts, &mut warnings, splat, path, photos)?;
     Ok(Report { kind: "splat", facts, warnings })
 }
 
 /// The figures of a run, and its splat.
-pub(crate) fn inspect_run(folder: &Path) -> Result<Report> {
+pub(crate) fn inspect_run(folder: &Path, photos: Option<Photos<'_>>) -> Result<Report> {
     let splat = open(folder)?;
     let (mut facts, mut warnings) = look(&splat.cloud, splat.settings, &folder.join(CLOUD));
     facts.extend(splat.offset.map(offset));
@@ -45,6 +48,7 @@ pub(crate) fn inspect_run(folder: &Path) -> Result<Report> {
             "the run was stopped before its end; the same command with --resume goes on with it".into(),
         );
     }
+    shows::add(&mut facts, &mut warnings, splat, folder, photos)?;
     Ok(Report { kind: "run", facts, warnings })
 }
 

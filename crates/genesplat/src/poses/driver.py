@@ -112,6 +112,7 @@ def find_cameras():
         say(what="cameras", done=registered[0], total=job["photos"])
 
     unquote_names(job["database"])
+    calibrate(job)
     map_photos(job, job["models"], tell)
     models = read_models(job["models"])
     if models:
@@ -135,10 +136,15 @@ def retry_left_out(model, folder, tell):
 
 
 def finish_models():
-    models = read_models(job["models"])
+    models, options = read_models(job["models"]), mapping_options(job)
+    if models and job["photos"] > FEW:
+        largest = largest_of(models)
+        settle(models[largest], options)
+        # A lens is found from here.
+        models[largest].write(os.path.join(job["models"], largest))
     if job["single_camera"] and models:
         largest = largest_of(models)
-        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), mapping_options(job))
+        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), options)
     for name, model in models.items():
         model = models[name] = turned_back(model, turned_names(job["sizes"]), job["images"])
         turn_upright(model)

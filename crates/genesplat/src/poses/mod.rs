@@ -26,7 +26,7 @@ use genesplat::run::{output, preparing};
 use crate::programs::Programs;
 use engine::Engine;
 use photos::Source;
-use stages::Job;
+use stages::{Job, Pairing};
 pub use summary::{Compared, Summary};
 
 /// Below `OUT`.
@@ -49,6 +49,8 @@ pub struct Request<'a> {
     pub out: &'a Path,
     /// How many photos are taken from a video; `None` for 120.
     pub frames: Option<u32>,
+    /// Each photo is compared with each other, however many there are.
+    pub all_pairs: bool,
     /// Processor threads; `None` for all cores.
     pub threads: Option<u16>,
 }
@@ -71,6 +73,9 @@ pub fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
     let is_new = !photos::is_begun(&work)
         && [IMAGES, masks::FOLDER].iter().all(|name| !request.out.join(name).exists());
     source.check_same(&work)?;
+    if request.all_pairs {
+        stages::reopen(&work)?;
+    }
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));
     }
@@ -116,7 +121,8 @@ fn prepare(
     );
     output::tell(&format!("{} photos; {} finds their cameras", names.len(), engine.name()));
     let masks = masks::usable(request.out, &images, &names)?;
-    let job = Job { masks, ..Job::new(&images, work, &names, source.is_video(), request.threads)? };
+    let pairing = Pairing::of(&names, source.is_video(), request.all_pairs);
+    let job = Job { masks, ..Job::new(&images, work, &names, pairing, request.threads)? };
     Ok(Some((engine, names, job)))
 }
 

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Result;
 use genesplat::io::photos::{lens_tags, photo_size};
 use genesplat::io::{input, plural};
-use genesplat::run::files::{make_empty, write_own_text};
+use genesplat::run::files::{make_empty, remove_if_there, write_own_text};
 use genesplat::run::numbers::thousands;
 use genesplat::run::output;
 use genesplat::run::output::Bar;
@@ -16,7 +16,7 @@ use serde::Serialize;
 
 use super::engine::{Engine, Said};
 use super::process::{self, Crashed};
-use super::summary::{Compared, pairs_of};
+use super::summary::{Compared, SUMMARY, pairs_of};
 
 /// Most photos of which each is matched with each other one.
 const EXHAUSTIVE_MAX: usize = 150;
@@ -60,6 +60,18 @@ pub(crate) enum Pairing {
     Looks,
 }
 
+impl Pairing {
+    /// Of photos with these names, or of frames.
+    pub(crate) fn of(names: &[String], is_video: bool, all_pairs: bool) -> Self {
+        match names.len() > EXHAUSTIVE_MAX {
+            _ if all_pairs => Self::All,
+            _ if is_video => Self::Sequence,
+            true => Self::Looks,
+            false => Self::All,
+        }
+    }
+}
+
 /// What the stages have found beside models.
 #[derive(Debug, Default)]
 pub(crate) struct Outcome {
@@ -90,14 +102,9 @@ impl Job {
         images: &Path,
         work: &Path,
         names: &[String],
-        is_video: bool,
+        pairing: Pairing,
         threads: Option<u16>,
     ) -> Result<Self> {
-        let pairing = match names.len() > EXHAUSTIVE_MAX {
-            _ if is_video => Pairing::Sequence,
-            true => Pairing::Looks,
-            false => Pairing::All,
-        };
         let Lenses { single_camera, sizes } = lenses(images, names)?;
         Ok(Self {
             images: images.to_owned(),
@@ -165,6 +172,16 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
         compared.chosen_by = chosen_by(work);
     }
     Ok(Some(outcome))
+}
+
+/// Takes the mark from a search whose pairs were chosen, and from what came after it: all are to be compared.
+/// Those that were are not compared again.
+pub(crate) fn reopen(work: &Path) -> Result<()> {
+    if chosen_by(work).is_empty() {
+        return Ok(());
+    }
+    remove_if_there(work, Stage::Matches.mark())?;
+    remove_if_there(work, SUMMARY)
 }
 
 /// What chose the pairs that were matched: their mark tells, also of an earlier start.
@@ -271,6 +288,29 @@ mod tests {
         let names: Vec<String> = (0..photos.len()).map(|index| format!("{index}.jpg")).collect();
         names.iter().zip(photos).for_each(|(name, (size, mm))| photo(&place.path().join(name), *size, *mm));
         lenses(place.path(), &names).unwrap()
+    }
+
+    #[test]
+    fn a_search_that_compared_fewer_pairs_is_opened_again() {
+        let place = tempfile::tempdir().unwrap();
+        let [marks, summary] = ["matches.done", SUMMARY].map(|name| place.path().join(name));
+        for (chosen_by, stays) in [("", true), ("looks order", false)] {
+            fs::write(&marks, chosen_by).unwrap();
+            fs::write(&summary, "{}").unwrap();
+            reopen(place.path()).unwrap();
+            assert_eq!((marks.exists(), summary.exists()), (stays, stays), "{chosen_by}");
+        }
+        reopen(place.path()).unwrap();
+    }
+
+    #[test]
+    fn all_pairs_are_compared_of_few_photos_or_where_that_is_asked_for() {
+        let names = |count: usize| vec![String::new(); count];
+        assert_eq!(Pairing::of(&names(150), false, false), Pairing::All);
+        assert_eq!(Pairing::of(&names(151), false, false), Pairing::Looks);
+        assert_eq!(Pairing::of(&names(151), false, true), Pairing::All);
+        assert_eq!(Pairing::of(&names(20), true, false), Pairing::Sequence);
+        assert_eq!(Pairing::of(&names(20), true, true), Pairing::All);
     }
 
     #[test]

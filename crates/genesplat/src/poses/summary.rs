@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::stages::Outcome;
 
 /// Below the folder of the stages; where it is, the search is done.
-const SUMMARY: &str = "summary.json";
+pub(crate) const SUMMARY: &str = "summary.json";
 /// So many photos that were left out are named.
 const NAMED_MAX: usize = 3;
 
@@ -170,8 +170,8 @@ impl Summary {
                 "they share too little with those that they were compared with, or are blurred; take photos in between, in small steps"
             }
             (Some(compared), _) if !compared.left_out_with_all => {
-                "they share too little with the photos that look most alike, and were not compared with all others; take photos in \
-                 between, in small steps"
+                "they share too little with the photos that look most alike, and were not compared with all others; --all-pairs does \
+                 that and goes on from here, or take photos in between, in small steps"
             }
             (Some(_), 0) => {
                 "they share too little with the others, or are blurred; take photos in between, in small steps"
@@ -249,7 +249,7 @@ mod tests {
         assert!(looks.contains("belong together in groups"), "{looks}");
         let many = summary(0, some(&["looks", "place", "order"], false));
         assert!(many.contains("chosen by looks, place and order\n"), "{many}");
-        assert!(many.contains("were not compared with all others"), "{many}");
+        assert!(many.contains("were not compared with all others; --all-pairs does"), "{many}");
         let unknown = summary(0, None);
         assert!(unknown.contains("with those that they were compared with"), "{unknown}");
     }

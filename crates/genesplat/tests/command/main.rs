@@ -1,5 +1,6 @@
 //! The built command, as a user runs it: files in, files and exit status out.
 
+mod another_scene;
 mod bad_input;
 mod blocks;
 mod camera_path;

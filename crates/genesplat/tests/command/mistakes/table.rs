@@ -9,6 +9,7 @@ use genesplat::io::photos::{encode_jpeg, read_photo, write_png};
 
 use super::Outcome::{Says, Works};
 use super::{Mistake, Place, grey};
+use crate::another_scene::write_of_another_scene;
 use crate::bad_input::write_blender;
 use crate::support::{copy, scene, succeed, text, train};
 
@@ -464,12 +465,8 @@ const MESH: &str = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\np
 
 /// `refine` on a splat of another scene: nothing is where the photos have it.
 fn refines_another(place: &Place, more: &[&str]) -> Vec<String> {
-    let mut cloud = Gaussians::zeros(9);
-    cloud.rotations = vec![[1.0, 0.0, 0.0, 0.0]; 9];
-    cloud.sh.iter_mut().for_each(|sh| sh[..3].copy_from_slice(&[9.0, -9.0, 9.0]));
-    (cloud.opacity_logits, cloud.log_scales) = (vec![9.0; 9], vec![[3.0; 3]; 9]);
     let [splat, out] = [place.at("splat.ply"), place.at("out.ply")];
-    genesplat::io::write_ply(&splat, &cloud, &PlyOptions::default()).unwrap();
+    write_of_another_scene(&splat);
     let on = ["refine", text(&splat), "--data", text(scene()), "--out", text(&out), "--device", "cpu"];
     on.iter().chain(more).map(|word| (*word).to_owned()).collect()
 }
