@@ -17,6 +17,7 @@ pub mod device;
 pub mod edit;
 pub mod gaussians;
 pub mod genes;
+mod halved;
 pub mod image;
 pub mod median;
 pub mod memory;

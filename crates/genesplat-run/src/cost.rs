@@ -10,7 +10,7 @@ use genesplat_io::Scene;
 use genesplat_metrics::{Lpips, evaluate};
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::timeline::Event;
-use genesplat_train::{GrowthToCome, Schedule, expected_gaussians, starting_gaussians};
+use genesplat_train::{GrowthToCome, Schedule, coarse_views, expected_gaussians, starting_gaussians};
 
 use crate::device::{Device, step_at_rest};
 use crate::exposure::{Lit, Shade};
@@ -44,6 +44,8 @@ pub struct Tried {
 pub struct Cost {
     /// With as many Gaussians as it starts with, and as it ends with at most.
     pub steps: [Tried; 2],
+    /// Seconds of a step of these where it sees photos as a run in haste does at first.
+    pub coarse_steps: [f64; 2],
     /// Seconds of scoring all photos, the curve of the test photos included.
     pub scoring_seconds: f64,
 }
@@ -60,22 +62,23 @@ impl Cost {
         let start = starting_gaussians(config, views, scene.points.len());
         let counts = [start, expected_gaussians(config, views).max(start)];
         let some = spread(views);
-        device.set_views(&some)?;
+        let coarse = coarse_views(&some);
         let points = scene::points(scene);
         let every = (points.len() / start.max(1)).max(1);
         let first = cloud_from_points(&points.iter().step_by(every).copied().collect::<Vec<_>>())?;
-        let mut steps = [Tried { gaussians: 0, seconds: 0.0 }; 2];
-        for (tried, cloud) in steps.iter_mut().zip([first, sampled(&points, counts[1])?]) {
+        let (mut steps, mut coarse_steps) = ([Tried { gaussians: 0, seconds: 0.0 }; 2], [0.0; 2]);
+        for (index, cloud) in [first, sampled(&points, counts[1])?].into_iter().enumerate() {
             let gaussians = cloud.len();
             device.upload(cloud.into())?;
-            *tried = Tried { gaussians, seconds: seconds_a_step(device, some.len())? };
+            coarse_steps[index] = seconds_a_step(device, &coarse)?;
+            steps[index] = Tried { gaussians, seconds: seconds_a_step(device, &some)? };
         }
         // The last cloud is still there.
         let score = seconds_of_scoring(device, views, None)?;
         let learned = if lpips.is_some() { seconds_of_scoring(device, &scene.test, lpips)? } else { score };
         let [test, train] = [scene.test.len() as f64, views.len() as f64];
         let curve = f64::from(test_curve::POINTS) * POINT * score;
-        Ok(Self { steps, scoring_seconds: train * score + test * (learned + curve) })
+        Ok(Self { steps, coarse_steps, scoring_seconds: train * score + test * (learned + curve) })
     }
 
     /// Seconds of training by `schedule`.
@@ -86,16 +89,20 @@ impl Cost {
         let [start, full] = self.steps.map(|tried| tried.gaussians as f64);
         let densified: Vec<u32> = schedule.on(views.len()).timeline().all(Event::Densify).collect();
         let grown = |i: u32| start * GROWTH.powi(densified.partition_point(|&at| at < i) as i32);
-        let step = |i: u32| self.step_seconds(growth.planned(i).unwrap_or(full).min(grown(i)));
+        let step = |i: u32| {
+            let seconds =
+                if growth.seen(i) < 1.0 { self.coarse_steps } else { self.steps.map(|of| of.seconds) };
+            self.step_seconds(growth.planned(i).unwrap_or(full).min(grown(i)), seconds)
+        };
         BESIDE * slice * (0..SLICES).map(|index| step(at(index))).sum::<f64>()
     }
 
-    /// Of a step with so many Gaussians, between what was tried.
-    fn step_seconds(&self, gaussians: f64) -> f64 {
+    /// Of a step with so many Gaussians, between those of the tried ones.
+    fn step_seconds(&self, gaussians: f64, [few, many]: [f64; 2]) -> f64 {
         let [start, full] = self.steps;
         let span = (full.gaussians - start.gaussians) as f64;
         let part = if span > 0.0 { (gaussians - start.gaussians as f64) / span } else { 1.0 };
-        start.seconds + (full.seconds - start.seconds).max(0.0) * part.clamp(0.0, 1.0)
+        few + (many - few).max(0.0) * part.clamp(0.0, 1.0)
     }
 }
 
@@ -104,10 +111,11 @@ fn spread(views: &[View]) -> Vec<View> {
     views.iter().step_by(views.len().div_ceil(STEPS).max(1)).cloned().collect()
 }
 
-fn seconds_a_step(device: &mut Device, views: usize) -> Result<f64> {
+fn seconds_a_step(device: &mut Device, views: &[View]) -> Result<f64> {
+    device.set_views(views)?;
     let mut clock = Instant::now();
     for step in 0..=STEPS {
-        device.train_step(&step_at_rest(step % views, RenderSettings::default(), step as u32 + 1))?;
+        device.train_step(&step_at_rest(step % views.len(), RenderSettings::default(), step as u32 + 1))?;
         if step == 0 {
             // A device that queues steps has made this one now.
             device.report()?;
@@ -139,8 +147,10 @@ mod tests {
     #[test]
     fn a_longer_run_takes_longer_and_more_gaussians_do() {
         let tried = |gaussians, seconds| Tried { gaussians, seconds };
-        let cost = Cost { steps: [tried(100, 0.01), tried(300, 0.03)], scoring_seconds: 0.0 };
-        let seconds = [50.0, 100.0, 200.0, 300.0, 900.0].map(|gaussians| cost.step_seconds(gaussians));
+        let (steps, coarse_steps) = ([tried(100, 0.01), tried(300, 0.03)], [0.002, 0.006]);
+        let cost = Cost { steps, coarse_steps, scoring_seconds: 0.0 };
+        let seconds = [50.0, 100.0, 200.0, 300.0, 900.0]
+            .map(|gaussians| cost.step_seconds(gaussians, steps.map(|of| of.seconds)));
         assert_eq!(seconds.map(|seconds| (seconds * 1e6_f64).round()), [1e4, 1e4, 2e4, 3e4, 3e4]);
         let views = gallery().into_scene(HoldOut::default()).train;
         let of = |iterations| {
@@ -148,6 +158,15 @@ mod tests {
             cost.training_seconds(&schedule, &views)
         };
         assert!(of(2000) > 1.5 * of(1000) && of(1000) > 1000.0 * 0.01);
+        // Three tenths of a run that looks at each large photo 20 times.
+        let large = vec![View { camera: views[0].camera.resized(400, 300), ..views[0].clone() }; 50];
+        let schedule = TrainConfig { iterations: 1000, ..TrainConfig::default() }.resolve().unwrap();
+        let [coarse, full] = [0.002, 0.01].map(|at_first| {
+            let steps = steps.map(|of| Tried { seconds: 0.01, ..of });
+            Cost { steps, coarse_steps: [at_first; 2], scoring_seconds: 0.0 }
+                .training_seconds(&schedule, &large)
+        });
+        assert!((coarse / full - 0.76).abs() < 0.01, "{coarse} of {full}");
     }
 
     #[test]

@@ -70,12 +70,14 @@ impl Pace {
         }
         let rate = (seconds - from.seconds) / done as f64;
         let Some(growth) = &self.growth else { return Some(rate * left as f64) };
-        let of_steps = |gaussians: f64| gaussians + FIXED * self.expected(growth, self.total).max(1.0);
-        let sum: f64 = recent.iter().chain([&self.now]).map(|mark| mark.gaussians).sum();
-        let usual = of_steps(sum / (recent.len() + 1) as f64);
+        let fixed = FIXED * self.expected(growth, self.total).max(1.0);
+        let of_steps = |position: u64, gaussians: f64| growth.seen(position as u32) * (gaussians + fixed);
+        let sum: f64 =
+            recent.iter().chain([&self.now]).map(|mark| of_steps(mark.position, mark.gaussians)).sum();
+        let usual = sum / (recent.len() + 1) as f64;
         let slice = left as f64 / f64::from(SLICES);
         let at = |index: u32| self.now.position + ((f64::from(index) + 0.5) * slice) as u64;
-        let costs = (0..SLICES).map(|index| of_steps(self.expected(growth, at(index))) / usual);
+        let costs = (0..SLICES).map(|index| of_steps(at(index), self.expected(growth, at(index))) / usual);
         Some(rate * slice * costs.sum::<f64>())
     }
 

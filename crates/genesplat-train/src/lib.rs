@@ -38,6 +38,7 @@ pub use pipeline::train;
 pub use run::checkpoint::{self, Checkpoint};
 pub use run::observe::{self, Observer, Silent, StageKind, StageRecord};
 pub use run::{Outcome, RunSummary, Seconds, Start, TrainError};
+pub use scene::coarse::coarse_views;
 pub use scene::virtual_views::virtual_picture_bytes;
 pub use schedule::Schedule;
 pub use search::search;

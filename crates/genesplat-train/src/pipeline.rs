@@ -9,6 +9,8 @@
 //!    if it is better.
 //! 5. **Average.** The mean of the last states is the result.
 //!
+//! Which photos a step sees, and at which size, is the timeline's as well.
+//!
 //! The run can stop between any two events: a resumed run repeats the numbers of one that was never
 //! interrupted. References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1);
 //! Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023; each method's own file
@@ -93,6 +95,7 @@ impl Trainer<'_> {
             Event::Search => return self.run_stage::<ExtraGradientSteps>(),
             Event::AddToMean => self.backend.add_to_mean()?,
             Event::TakeMean => self.take_mean(i)?,
+            Event::FullPhotos => self.show_full_photos()?,
         }
         Ok(None)
     }

@@ -67,6 +67,8 @@ pub enum Event {
     AddToMean,
     /// That mean replaces the last state.
     TakeMean,
+    /// From here on, steps see photos at their full size.
+    FullPhotos,
 }
 
 impl Event {
@@ -86,6 +88,7 @@ impl Event {
             Self::Search => "genetic search",
             Self::AddToMean => "add the state to the mean",
             Self::TakeMean => "take the mean",
+            Self::FullPhotos => "photos at their full size, large ones for the first time",
         }
     }
 }

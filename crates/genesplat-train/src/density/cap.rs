@@ -3,8 +3,9 @@
 use genesplat_core::View;
 
 use crate::config::TrainConfig;
+use crate::scene::coarse::coarse_share;
 use crate::schedule::Schedule;
-use crate::timeline::Growth;
+use crate::timeline::{Event, Growth};
 
 /// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same
 /// things.
@@ -107,7 +108,7 @@ pub fn starting_gaussians(config: &TrainConfig, views: &[View], points: usize) -
     points.min(Cap::new(config, views).most_points(points))
 }
 
-/// What is known beforehand of how a cloud will grow.
+/// What is known beforehand of how a cloud, and the photos that steps see, will grow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GrowthToCome {
     /// At each percent of the run, where density control follows a plan.
@@ -115,6 +116,8 @@ pub struct GrowthToCome {
     iterations: u32,
     until: u32,
     most: Option<f64>,
+    /// The iteration from which on steps see all pixels, and the part of them that they see before.
+    full_photos: (u32, f64),
 }
 
 impl GrowthToCome {
@@ -128,13 +131,21 @@ impl GrowthToCome {
         let planned = most
             .filter(|_| timeline.growth != Growth::Free)
             .map(|most| (0..=100).map(|percent| most * timeline.grown(at(percent))).collect());
-        Self { planned, iterations, until: timeline.densify.until, most }
+        let full_photos = timeline.first(Event::FullPhotos);
+        let full_photos = full_photos.map_or((0, 1.0), |from| (from, coarse_share(views)));
+        Self { planned, iterations, until: timeline.densify.until, most, full_photos }
     }
 
     /// Gaussians that are planned for an iteration.
     pub fn planned(&self, iteration: u32) -> Option<f64> {
         let percent = 100 * u64::from(iteration) / u64::from(self.iterations);
         self.planned.as_ref().map(|planned| planned[percent.min(100) as usize].max(1.0))
+    }
+
+    /// The part of a photo's pixels that the step of an iteration sees.
+    pub fn seen(&self, iteration: u32) -> f64 {
+        let (from, before) = self.full_photos;
+        if iteration > from { 1.0 } else { before }
     }
 
     /// The iteration from which on there is no growth.

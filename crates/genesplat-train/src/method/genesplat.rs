@@ -39,6 +39,10 @@ const HASTE: Haste = Haste { position: 8.0, others: 2.0 };
 /// The part of such a run whose states are averaged.
 const HASTY_MEAN: f64 = 0.2;
 
+/// Such a run sees large photos at half of their size for this part of it. (Fox, 1,000 steps at 480 px, 23
+/// looks: 30.97 dB in 117 processor seconds without; 31.01 in 89 with 0.3; 30.82 in 84 with 0.5.)
+const COARSE: f64 = 0.3;
+
 /// A shorter run grows along Improved-GS's root: a cloud that is small for half of so short a run never
 /// catches up.
 const GRADUAL_MIN: u32 = 5000;
@@ -131,6 +135,9 @@ fn hasty(config: &TrainConfig, length: Length) -> Timeline {
         true => improved_gs::timeline(config, length),
         false => improved_gs::without_resets(config, length),
     };
+    if !searches {
+        timeline.add(Event::FullPhotos, When::once(length.part(COARSE).max(1)));
+    }
     timeline.haste = Some(HASTE);
     timeline.with_mean_of_last(HASTY_MEAN, config, length)
 }

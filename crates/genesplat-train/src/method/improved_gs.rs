@@ -138,7 +138,8 @@ pub(super) fn densify(trainer: &mut Trainer<'_>, i: u32, most_views: usize) -> R
     } else {
         let shown = score_views(timeline, views, most_views, trainer.run.rng, i);
         let settings = trainer.settings(i);
-        selection::edge_scores(trainer.backend, trainer.run.views, &shown, &settings)?
+        let photos = trainer.visits.photos(trainer.run.views);
+        selection::edge_scores(trainer.backend, photos, &shown, &settings)?
     };
     Ok(selection::plan(&statistics, &genes, &scores, &rules, trainer.run.rng, i))
 }

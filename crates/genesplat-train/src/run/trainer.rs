@@ -16,6 +16,7 @@ use super::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::config::{Background, TrainConfig};
 use crate::density::cap::Cap;
 use crate::optimiser_step::OptimiserStep;
+use crate::scene::coarse::coarse_views;
 use crate::scene::filter_3d::filter_3d;
 use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent};
 use crate::scene::thin::thinned;
@@ -58,6 +59,15 @@ impl<'a> Run<'a> {
 pub(crate) struct Visits {
     pub(crate) order: ViewOrder,
     pub(crate) virtual_views: VirtualViews,
+    /// The photos as the device has them until it has them at their full size.
+    coarse: Option<Vec<View>>,
+}
+
+impl Visits {
+    /// The photos as steps see them now, of those at their full size.
+    pub(crate) fn photos<'a>(&'a self, full: &'a [View]) -> &'a [View] {
+        self.coarse.as_deref().unwrap_or(full)
+    }
 }
 
 /// How far a run has come.
@@ -99,10 +109,11 @@ impl<'a> Trainer<'a> {
         stop: &'a AtomicBool,
     ) -> Result<Self, TrainError> {
         let run = Run::new(views, schedule)?;
-        backend.set_views(views)?;
+        let coarse = schedule.timeline().first(Event::FullPhotos).map(|_| coarse_views(views));
+        backend.set_views(coarse.as_deref().unwrap_or(views))?;
         let (count, Run { extent, rng, .. }) = (views.len(), &run);
         let virtual_views = VirtualViews::new(views, schedule.virtual_steps(count), *extent, *rng);
-        let visits = Visits { order: ViewOrder::new(*rng, count), virtual_views };
+        let visits = Visits { order: ViewOrder::new(*rng, count), virtual_views, coarse };
         let place =
             Place { progress: Progress::default(), cursor: Cursor::start_of(1), is_mid_change: false };
         Ok(Self { backend, observer, stop, run, visits, place, told: Told::default() })
@@ -188,14 +199,22 @@ impl<'a> Trainer<'a> {
         if !self.visits.virtual_views.restore(checkpoint.virtual_pictures) {
             return Err(TrainError::OtherPhotos);
         }
-        if self.visits.virtual_views.are_shown() {
-            self.backend.set_views(&self.visits.virtual_views.after(self.run.views))?;
+        let full = self.run.schedule.timeline().first(Event::FullPhotos);
+        let full = full.map(|iteration| Cursor { iteration, event: Event::FullPhotos });
+        if full.is_some_and(|full| checkpoint.cursor > full) || self.visits.virtual_views.are_shown() {
+            self.show_full_photos()?;
         }
         self.backend.upload(checkpoint.state.into())?;
         self.place.progress = checkpoint.progress;
         self.told.has_seen = checkpoint.cursor.iteration > 1;
         self.told.cap = self.run.cap.get().is_some_and(|cap| self.backend.gaussian_count() >= cap);
         Ok(checkpoint.cursor)
+    }
+
+    /// From here on steps see photos, and virtual views if there are any, at their full size.
+    pub(crate) fn show_full_photos(&mut self) -> Result<(), TrainError> {
+        self.visits.coarse = None;
+        Ok(self.backend.set_views(&self.visits.virtual_views.after(self.run.views))?)
     }
 
     /// All that it takes to go on from `cursor` later.

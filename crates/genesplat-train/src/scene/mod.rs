@@ -1,5 +1,6 @@
 //! What training reads from the scene: the first cloud, the size of things, the order of views.
 
+pub(crate) mod coarse;
 pub mod filter_3d;
 pub mod initialise;
 pub(crate) mod nearest;

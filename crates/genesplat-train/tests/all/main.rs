@@ -1,6 +1,7 @@
 //! The training algorithm against a backend that computes next to nothing and records every call.
 
 mod averaging;
+mod coarse;
 mod config;
 mod evaluate;
 mod growth;

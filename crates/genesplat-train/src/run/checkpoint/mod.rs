@@ -29,7 +29,7 @@ mod summed;
 const MAGIC: [u8; 8] = *b"GSPLATC\x0e";
 
 /// The next thing to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Cursor {
     /// Counted from 1.
     pub iteration: u32,

@@ -106,6 +106,19 @@ fn improved_gs_scales_its_windows() {
 }
 
 #[test]
+fn ours_sees_photos_at_full_size_late_where_they_are_many() {
+    let ours = schedule_of(MethodName::Genesplat, |config| config.iterations = 7000);
+    let genetic = schedule_of(MethodName::Genesplat, |config| {
+        (config.iterations, config.genetic) = (7000, Some(GeneticConfig::default()));
+    });
+    let at = |schedule: &Schedule, photos| iterations_with(&schedule.on(photos), Event::FullPhotos);
+    assert_eq!((at(&ours, 87), at(&ours, 88)), (vec![], vec![2100]));
+    assert_eq!(at(&genetic, 88), [] as [u32; 0], "a search judges photos as they are");
+    let one = schedule_of(MethodName::Genesplat, |config| config.iterations = 1);
+    assert_eq!(at(&one, 9), [1], "never is too late");
+}
+
+#[test]
 fn ours_grows_gradually_unless_the_run_is_short() {
     let of = |iterations| schedule_of(MethodName::Genesplat, |config| config.iterations = iterations);
     let gradual = of(7000);
