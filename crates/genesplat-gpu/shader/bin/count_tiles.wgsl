@@ -4,8 +4,6 @@
 // [N, 3] vectors
 @group(0) @binding(1) var<storage, read> splats: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> tile_counts: array<u32>;
-// 1 for each splat, what compaction sums.
-@group(0) @binding(3) var<storage, read_write> flags: array<u32>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -15,5 +13,4 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let splat = splat_from(splats[3u * row], splats[3u * row + 1u], splats[3u * row + 2u]);
     tile_counts[row] = count_tiles(splat) | SPLAT_BIT;
-    flags[row] = 1u;
 }

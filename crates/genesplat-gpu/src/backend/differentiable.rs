@@ -66,7 +66,7 @@ impl GpuBackend {
         engine.write(&lists.splats, 0, splats);
         engine.write(&lists.depths, 0, depths);
         let mut recorder = Recorder::new(engine, None);
-        lists.clear_ranges(&mut recorder, pass);
+        lists.clear_tallies(&mut recorder, pass);
         lists.record_bin_of_given(&mut recorder, pass);
         pixels.record_rasterise(&mut recorder, lists, pass, needs);
         if let Some(([by_image, by_transmittance], sums)) = backward {

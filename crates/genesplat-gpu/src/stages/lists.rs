@@ -226,7 +226,7 @@ impl Lists {
     /// Stage `bin` of splats that the host has written.
     pub(crate) fn record_bin_of_given(&self, recorder: &mut Recorder, view: &ViewPass) {
         recorder.stage("bin");
-        let parts = [&self.view, &self.splats, &self.tile_counts, &self.flags].map(Memory::all);
+        let parts = [&self.view, &self.splats, &self.tile_counts].map(Memory::all);
         let rows = u64::from(view.rows);
         recorder.run_long(&shaders::COUNT_TILES, &[], &parts, Grid::Items(rows), SPLAT_INSTRUCTIONS * rows);
         self.record_bin(recorder, view);

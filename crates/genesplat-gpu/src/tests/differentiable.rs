@@ -72,14 +72,13 @@ fn gradients_match(actual: &ViewGradients, expected: &ViewGradients) -> Result<(
 
 #[test]
 fn pictures_and_gradients_of_given_splats_match() {
-    for engine in engines() {
-        let mut gpu = GpuBackend::on(engine).unwrap();
-        for filter in filters() {
-            is_the_cpus(&mut gpu, filtered_cloud(400, filter), filter).unwrap();
-        }
-        for logit in CROWD_LOGITS {
-            is_the_cpus(&mut gpu, crowd(logit), ScreenFilter::Antialiased).unwrap();
-        }
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine).unwrap();
+    for filter in filters() {
+        is_the_cpus(&mut gpu, filtered_cloud(400, filter), filter).unwrap();
+    }
+    for logit in CROWD_LOGITS {
+        is_the_cpus(&mut gpu, crowd(logit), ScreenFilter::Antialiased).unwrap();
     }
 }
 
