@@ -10,7 +10,6 @@ pycolmap. What is in FOLDER already is not done again.
 import json
 import os
 import random
-import resource
 import shutil
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from pathlib import Path
 genesplat, photos, folder = (Path(name).resolve() for name in sys.argv[1:4])
 count, which = (sys.argv[4:] + ["1000000", "both"][len(sys.argv) - 4 :])[:2]
 SEARCHES = {"chosen": [], "all": ["--all-pairs"]}
+STAGES = ["features", "matches", "cameras"]
 
 
 def shuffled():
@@ -32,21 +32,22 @@ def shuffled():
     return target, len(names)
 
 
-def seconds():
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def search(source, number, name):
     scene = folder / f"{name}-{number}"
-    before = seconds()
     subprocess.run([genesplat, "poses", source, "--out", scene, *SEARCHES[name]], check=True, stdout=subprocess.DEVNULL)
     found = json.loads((scene / "poses/summary.json").read_text())
     figures = [found["compared"]["pairs"], found["registered"], found["points"], f"{found['reprojection_error_px']:.3f}"]
-    print(",".join(map(str, [number, name, *figures, f"{seconds() - before:.0f}"])), flush=True)
+    spent = seconds(scene / "poses/engine.log")
+    print(",".join(map(str, [number, name, *figures, *(spent.get(stage, "") for stage in STAGES)])), flush=True)
+
+
+def seconds(log):
+    """Processor seconds of each stage, as the stages have said it."""
+    said = (line.partition(": ")[2] for line in log.read_text().splitlines() if "processor_seconds" in line)
+    return {line["stage"]: line["processor_seconds"] for line in map(json.loads, said)}
 
 
 source, number = shuffled()
-print("photos,pairs_of,pairs,cameras,points,error_px,cpu_seconds", flush=True)
+print("photos,pairs_of,pairs,cameras,points,error_px," + ",".join(f"{stage}_cpu_s" for stage in STAGES), flush=True)
 for name in SEARCHES if which == "both" else [which]:
     search(source, number, name)

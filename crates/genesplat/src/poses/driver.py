@@ -9,6 +9,7 @@ import json
 import os
 import sys
 import threading
+import time
 
 import pycolmap
 
@@ -169,6 +170,8 @@ def what_was_compared(model):
 
 in_background(end_with_parent)
 {"features": extract_features, "matches": match_features, "cameras": find_cameras}[job["stage"]]()
+# For who looks into the log; the time on a clock depends on what else the machine does.
+say(stage=job["stage"], processor_seconds=round(time.process_time(), 1))
 # Threads that read would keep the interpreter from ending.
 sys.stdout.flush()
 os._exit(0)
