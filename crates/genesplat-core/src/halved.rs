@@ -50,30 +50,42 @@ impl PhotoStore for Halved {
         let (first, end) = (at as usize, at as usize + out.len());
         let rows = first / row_bytes..end.div_ceil(row_bytes);
         let mut scratch = Vec::new();
-        let whole = 2 * rows.start..2 * rows.end;
-        let values = self.photo.rows(&whole, &mut scratch).map_err(io::Error::other)?;
-        let halved: Vec<u8> = rows.clone().flat_map(|row| self.row(row, rows.start, values)).collect();
+        let values =
+            self.photo.rows(&(2 * rows.start..2 * rows.end), &mut scratch).map_err(io::Error::other)?;
+        let mut halved = vec![0; row_bytes * rows.len()];
+        let pairs = values.chunks_exact(6 * self.photo.width() as usize);
+        for ((row, pair), halved) in rows.clone().zip(pairs).zip(halved.chunks_exact_mut(row_bytes)) {
+            self.halve(row, pair, halved);
+        }
         out.copy_from_slice(&halved[first - rows.start * row_bytes..][..end - first]);
         Ok(())
     }
 }
 
 impl Halved {
-    /// A row of the half, from values of the whole that begin where the row `first` of the half does.
-    fn row(&self, row: usize, first: usize, values: &[u8]) -> Vec<u8> {
+    /// Two rows become the row of that number.
+    fn halve(&self, row: usize, pair: &[u8], halved: &mut [u8]) {
         let width = self.photo.width() as usize;
-        let pixel = |x: usize| {
-            let (mut sums, mut count) = ([0u16; 3], 0);
-            for at in [0, 1, width, width + 1].map(|beside| 2 * row * width + 2 * x + beside) {
-                if self.mask.as_ref().is_none_or(|mask| mask.counts[at]) {
-                    let rgb = &values[3 * (at - 2 * first * width)..];
-                    sums.iter_mut().zip(rgb).for_each(|(sum, &value)| *sum += u16::from(value));
-                    count += 1;
-                }
-            }
-            sums.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
-        };
-        (0..width / 2).flat_map(pixel).collect()
+        let (upper, lower) = pair.split_at(3 * width);
+        let beside = upper.chunks_exact(6).zip(lower.chunks_exact(6));
+        for (x, (out, (upper, lower))) in halved.chunks_exact_mut(3).zip(beside).enumerate() {
+            let of_four = |channel: usize| {
+                [upper[channel], upper[channel + 3], lower[channel], lower[channel + 3]].map(u16::from)
+            };
+            let Some(mask) = &self.mask else {
+                let mean = |channel| ((of_four(channel).iter().sum::<u16>() + 2) / 4) as u8;
+                out.copy_from_slice(&[mean(0), mean(1), mean(2)]);
+                continue;
+            };
+            let at = 2 * row * width + 2 * x;
+            let counts = [0, 1, width, width + 1].map(|beside| u16::from(mask.counts[at + beside]));
+            let count = counts.iter().sum::<u16>();
+            let mean = |channel| {
+                let shown = of_four(channel).into_iter().zip(counts).map(|(value, counts)| value * counts);
+                ((shown.sum::<u16>() + count / 2) / count.max(1)) as u8
+            };
+            out.copy_from_slice(&[mean(0), mean(1), mean(2)]);
+        }
     }
 }
 
