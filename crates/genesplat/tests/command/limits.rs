@@ -101,6 +101,10 @@ fn a_machine_without_memory_is_a_sentence_and_a_run_that_goes_on() {
     let growing = Growing::new(place.path());
     let mut said = BTreeMap::new();
     let mut within = |limit| {
+        // A second try would find what the first has left.
+        if let Some(last) = said.get(&limit) {
+            return Option::is_some(last);
+        }
         let last = growing.within(limit, &place.path().join(format!("out{limit}")));
         let fails = last.is_some();
         said.insert(limit, last);
