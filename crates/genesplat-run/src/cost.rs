@@ -1,20 +1,19 @@
 //! What a run will take on a machine: tried with a few steps on a cloud as large as its first one, and on one
 //! as large as its last.
 
-use std::slice;
 use std::time::Instant;
 
 use anyhow::Result;
 use genesplat_core::{RenderSettings, View};
 use genesplat_io::Scene;
-use genesplat_metrics::{Lpips, evaluate};
+use genesplat_metrics::Lpips;
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::timeline::Event;
 use genesplat_train::{GrowthToCome, Schedule, coarse_views, expected_gaussians, starting_gaussians};
 
 use crate::device::{Device, step_at_rest};
-use crate::exposure::{Lit, Shade};
 use crate::sampled::sampled;
+use crate::score::score_some;
 use crate::{scene, test_curve};
 
 /// Steps that are timed, after one that fills caches.
@@ -126,13 +125,11 @@ fn seconds_a_step(device: &mut Device, views: &[View]) -> Result<f64> {
     Ok(clock.elapsed().as_secs_f64() / STEPS as f64)
 }
 
-/// Of one photo; 0 where there is none.
+/// Of one photo, scored with as many others as are scored at once; 0 where there is none.
 fn seconds_of_scoring(device: &mut Device, views: &[View], lpips: Option<&Lpips>) -> Result<f64> {
-    let Some(view) = views.get(views.len() / 2) else { return Ok(0.0) };
     let clock = Instant::now();
-    let mut renderer = Lit { renderer: device.as_mut(), shade: Shade::NONE };
-    evaluate(&mut renderer, slice::from_ref(view), &RenderSettings::default(), lpips, |_, _| ())?;
-    Ok(clock.elapsed().as_secs_f64())
+    let scored = score_some(device, views, lpips)?;
+    Ok(clock.elapsed().as_secs_f64() / scored.max(1) as f64)
 }
 
 #[cfg(test)]

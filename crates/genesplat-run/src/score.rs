@@ -76,6 +76,16 @@ pub(crate) fn evaluate_until(
     Ok(Some(Scores { scores: Evaluation::from_views(scores), as_rendered, cc_psnr }))
 }
 
+/// Scores the first photos of `views`, as many as are scored at once, for who wants to know how long it takes;
+/// their number.
+pub(crate) fn score_some(device: &mut Device, views: &[View], lpips: Option<&Lpips>) -> Result<usize> {
+    let settings = RenderSettings::default();
+    let scoring = Scoring { settings: &settings, lpips, light: None, folder: None };
+    let views = &views[..scoring.photos_at_once(views).min(views.len())];
+    scoring.score(device, views, &scene::picture_names(views))?;
+    Ok(views.len())
+}
+
 /// Pixels of the photos that are scored at once: each takes some 80 bytes.
 const PIXELS_AT_ONCE: u64 = 8 << 20;
 
