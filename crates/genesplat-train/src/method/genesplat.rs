@@ -22,8 +22,8 @@ use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::timeline::{Event, Growth, Haste, Length, Timeline, When};
 
-/// The power: slower than evenly at first, when photos were hardly looked at. (On validation photos at 480 px,
-/// 2 and 1 are worse.)
+/// The power: slower than evenly at first, when photos were hardly looked at. (On validation photos at 480
+/// px, 2 and 1 are worse.)
 const GRADUAL: f64 = 1.5;
 
 /// A run that sees each photo fewer times is still learning at its end. (Haste on 112, 56 and 32 photos of
@@ -31,17 +31,17 @@ const GRADUAL: f64 = 1.5;
 /// 109 looks -0.1, +0.009.)
 const FEW_LOOKS: u32 = 80;
 
-/// Its rates, in those of Improved-GS, which are for runs that see a photo a hundred times. (Bonsai, 7,000 steps
-/// at 200 px, on validation photos: positions alone +0.2 dB, with scales +0.5, all of them +0.6.
+/// Its rates, in those of Improved-GS, which are for runs that see a photo a hundred times. (Bonsai, 7,000
+/// steps at 200 px, on validation photos: positions alone +0.2 dB, with scales +0.5, all of them +0.6.
 /// Improved-GS gains as much by them.)
 const HASTE: Haste = Haste { position: 8.0, others: 2.0 };
 
 /// The part of such a run whose states are averaged.
 const HASTY_MEAN: f64 = 0.2;
 
-/// Such a run sees large photos at half of their size for this part of it. (Fox at 480 px, two cores: 1,500
-/// steps 32.22 dB in 121 s without, 140,319 Gaussians; 32.23 in 105 s with it, 128,312; SSIM -0.001. 1,000
-/// steps 30.97 in 63 s, 30.98 in 54 s. With 0.5 instead 0.15 dB less.)
+/// Such a run sees large photos at half of their size for this part of it. (Fox, 1,500 steps at 480 px: 32.22
+/// dB in 121 s without, 32.23 in 105 with it, a tenth fewer Gaussians, SSIM -0.001. With 0.5 instead 0.15 dB
+/// less. lab/performance.md)
 const COARSE: f64 = 0.3;
 
 /// A shorter run grows along Improved-GS's root: a cloud that is small for half of so short a run never
@@ -128,17 +128,17 @@ fn thorough(config: &TrainConfig, length: Length) -> Timeline {
 
 /// Each photo is looked at so seldom that the run is still learning at its end: what a reset takes from
 /// opacities is not earned back, and early states drag a mean down. (112 photos of bonsai, 3,500 steps at 160
-/// px, on validation photos: 30.99 dB with resets and the usual mean, 31.15 with that of the last fifth, 31.30
-/// without resets, 31.44 with both changes.)
+/// px, on validation photos: 30.99 dB with resets and the usual mean, 31.15 with that of the last fifth,
+/// 31.30 without resets, 31.44 with both changes.)
 fn hasty(config: &TrainConfig, length: Length) -> Timeline {
     let searches = config.genetic.is_some() || config.extra_steps.is_some();
-    let mut timeline = match searches {
-        true => improved_gs::timeline(config, length),
-        false => improved_gs::without_resets(config, length),
-    };
-    if !searches {
+    let mut timeline = if searches {
+        improved_gs::timeline(config, length)
+    } else {
+        let mut timeline = improved_gs::without_resets(config, length);
         timeline.add(Event::FullPhotos, When::once(length.part(COARSE).max(1)));
-    }
+        timeline
+    };
     timeline.haste = Some(HASTE);
     timeline.with_mean_of_last(HASTY_MEAN, config, length)
 }
