@@ -136,8 +136,8 @@ pub trait Device: Renderer {
     /// What the last [`Device::train_step`] found; waits for it.
     fn report(&mut self) -> Result<StepReport, BackendError>;
 
-    /// What the last step found of which that is known by now: asks for that of the last one, and does not wait
-    /// for it. `None` where nothing is known yet.
+    /// What the last step found of which that is known by now: asks for that of the last one, and does not
+    /// wait for it. `None` where nothing is known yet.
     fn recent_report(&mut self) -> Result<Option<StepReport>, BackendError> {
         self.report().map(Some)
     }

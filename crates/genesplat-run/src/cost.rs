@@ -25,8 +25,8 @@ const POINT: f64 = 0.5;
 /// A densification makes at most so many Gaussians of one, of which short runs have few (fox, 758 iterations:
 /// 1.5 to 1.7).
 const GROWTH: f64 = 1.7;
-/// Density control, averages and checkpoints beside the steps. (With it, 997 iterations of fox at 480 px on two
-/// cores took the 57 s that were foreseen.)
+/// Density control, averages and checkpoints beside the steps. (With it, 997 iterations of fox at 480 px on
+/// two cores took the 57 s that were foreseen.)
 const BESIDE: f64 = 1.1;
 
 /// What a step takes with so many Gaussians.

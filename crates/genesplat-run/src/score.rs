@@ -76,8 +76,8 @@ pub(crate) fn evaluate_until(
     Ok(Some(Scores { scores: Evaluation::from_views(scores), as_rendered, cc_psnr }))
 }
 
-/// Scores the first photos of `views`, as many as are scored at once, for who wants to know how long it takes;
-/// their number.
+/// Scores the first photos of `views`, as many as are scored at once, for who wants to know how long it
+/// takes; their number.
 pub(crate) fn score_some(device: &mut Device, views: &[View], lpips: Option<&Lpips>) -> Result<usize> {
     let settings = RenderSettings::default();
     let scoring = Scoring { settings: &settings, lpips, light: None, folder: None };

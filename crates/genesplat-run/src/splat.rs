@@ -76,8 +76,8 @@ impl Splat {
         Ok(scene)
     }
 
-    /// The same, without a word about its doubts, and with training photos at the exposure that training sees,
-    /// if the run brought them to it.
+    /// The same, without a word about its doubts, and with training photos at the exposure that training
+    /// sees, if the run brought them to it.
     pub fn load_scene_to_train(&self, data: &Path, asked: &PhotosAsked) -> Result<Scene> {
         let mut scene = self.load(data, asked, None)?;
         if let Some(exposure) = self.exposure(&scene, asked) {

@@ -19,7 +19,8 @@ pub(crate) struct TestCurve<'a> {
 }
 
 impl<'a> TestCurve<'a> {
-    /// For a run of `iterations`, on renders at the exposure of each photo; `None` where no photo was held out.
+    /// For a run of `iterations`, on renders at the exposure of each photo; `None` where no photo was held
+    /// out.
     pub(crate) fn new(views: &'a [View], exposure: Option<&'a Exposure>, iterations: u32) -> Option<Self> {
         let every = iterations.div_ceil(POINTS).max(1);
         (!views.is_empty()).then_some(Self { views, exposure, every })

@@ -24,8 +24,9 @@ impl GpuBackend {
         self.with_memory(|gpu| {
             gpu.until_lists_fit::<u32>(ListsOf::Cloud, None, |gpu| gpu.submit_splats(&splats, &pass, None))
         })?;
-        let mut picture = self.engine.read_values(&self.pixels.image, pass.image_bytes() / 3)?;
-        let transmittance = picture.split_off(picture.len() / 4 * 3);
+        let colours = pass.image_bytes() / size_of::<f32>() as u64;
+        let mut picture = self.engine.read_values(&self.pixels.image, colours / 3 * 4)?;
+        let transmittance = picture.split_off(colours as usize);
         Ok((picture, transmittance))
     }
 

@@ -31,8 +31,8 @@ impl GpuBackend {
     }
 
     /// Bytes a second that the device's memory reads and writes, both counted, when a kernel copies `bytes`,
-    /// or as many as it can see, again and again: by the host's clock, many copies less a few, so without what it takes to submit and to
-    /// wait. Before that it copies for as long as clocks take to rise.
+    /// or as many as it can see, again and again: by the host's clock, many copies less a few, so without
+    /// what it takes to submit and to wait. Before that it copies for as long as clocks take to rise.
     pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64> {
         const COPIES: [u32; 2] = [16, 80];
         self.finish_queued_steps()?;

@@ -146,8 +146,8 @@ fn unmet(limits: &Limits) -> Option<String> {
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// Opens a device ([`adapters`] counts them; `None` is the best), and closes it again: a driver may refuse what
-/// it has promised.
+/// Opens a device ([`adapters`] counts them; `None` is the best), and closes it again: a driver may refuse
+/// what it has promised.
 pub fn check(place: Option<usize>) -> Result<()> {
     Engine::at(place).map(drop)
 }

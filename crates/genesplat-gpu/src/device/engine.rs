@@ -69,8 +69,8 @@ pub(crate) struct Engine {
     pub(crate) timestamps: bool,
     pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
-    /// How often the host has waited for all that was submitted, has submitted and has asked for a kernel to run,
-    /// and bytes that it has read back: what tests count.
+    /// How often the host has waited for all that was submitted, has submitted and has asked for a kernel to
+    /// run, and bytes that it has read back: what tests count.
     pub(crate) waits: Cell<u32>,
     pub(crate) submissions: Cell<u32>,
     pub(crate) dispatches: Cell<u32>,
@@ -197,7 +197,8 @@ impl Engine {
         self.wait_for(None)
     }
 
-    /// The same for what was submitted up to here, if that is said: the device may go on with what came later.
+    /// The same for what was submitted up to here, if that is said: the device may go on with what came
+    /// later.
     pub(super) fn wait_for(&self, submission_index: Option<SubmissionIndex>) -> Result<()> {
         match self.device.poll(PollType::Wait { submission_index, timeout: Some(WAIT_MAX) }) {
             Ok(_) => self.check(),

@@ -259,8 +259,8 @@ impl Engine {
         Ok(Reading { staging, mapped, submission })
     }
 
-    /// Fills `target`, for which the reading must be as large; waits for what was submitted before it began, and
-    /// for nothing that came later.
+    /// Fills `target`, for which the reading must be as large; waits for what was submitted before it began,
+    /// and for nothing that came later.
     pub(crate) fn finish_reading(&self, reading: Reading, target: &mut [u8]) -> Result<()> {
         let Reading { staging, mapped, submission } = reading;
         self.wait_for(Some(submission))?;

@@ -3,8 +3,8 @@
 //!
 //! Splats count themselves into the lists of their tiles in any order, and every list is sorted by itself
 //! ([`super::order`]). The device counts splats and intersections, and later dispatches take their sizes from
-//! there. Buffers of intersections are sized by what earlier views needed; a view that needs more is submitted
-//! once more.
+//! there. Buffers of intersections are sized by what earlier views needed; a view that needs more is
+//! submitted once more.
 
 use bytemuck::Pod;
 use genesplat_core::Held;

@@ -127,8 +127,9 @@ impl Lists {
         self.run_pieces(recorder, view, &shaders::MERGE_LISTS, &run, &parts, work);
     }
 
-    /// Runs a kernel in pieces that no device takes long for; to its bindings the number of the piece is added.
-    /// A single piece is as large as the device says; of several, groups that are not there do nothing.
+    /// Runs a kernel in pieces that no device takes long for; to its bindings the number of the piece is
+    /// added. A single piece is as large as the device says; of several, groups that are not there do
+    /// nothing.
     fn run_pieces(
         &self,
         recorder: &mut Recorder,
@@ -160,7 +161,8 @@ struct Work {
     slot: u32,
 }
 
-/// Dispatches that take at most so many instructions each, if all are alike: as many as there are numbers for.
+/// Dispatches that take at most so many instructions each, if all are alike: as many as there are numbers
+/// for.
 fn pieces_of(instructions: u64, most: u64, numbers: u32) -> u64 {
     instructions.div_ceil(most.max(1)).clamp(1, u64::from(numbers.max(1)))
 }

@@ -33,9 +33,9 @@ impl Work {
         let [evaluated, differentiated, moved] = self.colour_bytes();
         let pixels = width * height;
         match stage {
-            // Tile counts and flags of all rows; depths of splats, and their first and third vectors once
-            // more; which steps their colours have made.
-            "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4 + 32 + 8),
+            // Tile counts of all rows; depths of splats, and their first and third vectors once more; which
+            // steps their colours have made.
+            "project" => rows * (geometry + 4) + visible * (evaluated + splat + 4 + 32 + 8),
             // Tile counts of all rows are read; of splats they themselves and the depth, and their first
             // intersections are written. Of intersections, splat, tile and place are written and read; then
             // depth and number; the number is written in its order.
@@ -84,6 +84,7 @@ mod tests {
         assert_eq!(work.bytes("update"), 1000 * (288 + 4));
         let seen = |sh_degree| Work { visible: 10, sh_degree, ..work }.bytes("update") - work.bytes("update");
         assert_eq!([0, 1, 3].map(seen), [16, 48, 192].map(|moved| 10 * (64 + 6 * moved + 24)));
+        assert_eq!(work.bytes("project"), 1000 * (48 + 4));
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
         assert_eq!(work.bytes("nothing"), 0);
         let listed = Work { visible: 10, intersections: 30, ..work };

@@ -5,8 +5,9 @@
 //! invocations are dealt out in other orders here, and results must be the same to the bit. Barriers are left
 //! out one by one: that must be noticed.
 //!
-//! Kernels have their loops here, which compile sooner. This driver waits for all invocations where a loop with a barrier ends, so what shows
-//! nothing is tried once more with its loops written out, as devices get it.
+//! Kernels have their loops here, which compile sooner. This driver waits for all invocations where a loop
+//! with a barrier ends, so what shows nothing is tried once more with its loops written out, as devices get
+//! it.
 
 use std::collections::HashMap;
 

@@ -120,8 +120,8 @@ fn a_step_is_few_dispatches_one_submission_and_no_wait() {
     }
 }
 
-/// Dispatches of a step without statistics: two of projection, five of tile lists, one of blending, three of the
-/// loss, two backward, three of the optimiser.
+/// Dispatches of a step without statistics: two of projection, five of tile lists, one of blending, three of
+/// the loss, two backward, three of the optimiser.
 const DISPATCHES: u32 = 16;
 
 /// Ten steps, then a question, and again: the host never waits for all that it has submitted, and what it is

@@ -1,8 +1,8 @@
 //! `genesplat-lab quality`: how long a method takes to the PSNR with which another one ends.
 //!
 //! The reference is trained first. Then the method, in runs that become longer by a half each until one has
-//! reached the reference's PSNR at its end: its schedule fits into the run, so that a shorter run is no part of
-//! a longer one. The same command goes on where it was interrupted.
+//! reached the reference's PSNR at its end: its schedule fits into the run, so that a shorter run is no part
+//! of a longer one. The same command goes on where it was interrupted.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;

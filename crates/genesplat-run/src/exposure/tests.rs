@@ -176,7 +176,8 @@ fn put(index: usize) -> [f32; 3] {
     [0, 1, 2].map(|channel| 1.0 + 0.25 * (1.7 * index as f32).sin() + 0.05 * ((index + channel) as f32).cos())
 }
 
-/// How far training photos are from the mean of what they share: the mean of logarithms' absolute differences.
+/// How far training photos are from the mean of what they share: the mean of logarithms' absolute
+/// differences.
 fn difference(scene: &Scene) -> f64 {
     let samples = samples::of_views(&scene.train, &scene.points, &scene.seen).unwrap();
     let mut of_points: BTreeMap<u32, Vec<f32>> = BTreeMap::new();

@@ -50,9 +50,9 @@ impl Cap {
         self.asked.into_iter().chain(self.from_photos).min().or(self.published)
     }
 
-    /// Points that a run may start from, of `all` that there are: a dense cloud (LiDAR, multi-view stereo) has
-    /// more than the photos can determine, and leaves no room where Gaussians are needed. A published method
-    /// without a limit keeps all.
+    /// Points that a run may start from, of `all` that there are: a dense cloud (LiDAR, multi-view stereo)
+    /// has more than the photos can determine, and leaves no room where Gaussians are needed. A published
+    /// method without a limit keeps all.
     pub(crate) fn most_points(self, all: usize) -> usize {
         let dense = self.from_photos.filter(|&most| all > most);
         let from_photos = dense.map(|most| (most as f64 * DENSE_SHARE) as usize);

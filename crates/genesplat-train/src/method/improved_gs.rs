@@ -6,9 +6,9 @@
 //! code released with it, whose numbers are here. Its published figures are the best of three repeats.
 //!
 //! What differs: within a densification what is faint goes first, and room is counted without it, so that no
-//! child is pruned at birth and the budget is kept; all views have a say in the 400 iterations after each reset
-//! before 9,000, and not in iteration 400 as well, where density control has not begun; gradients of several
-//! views that are left at the end make no step.
+//! child is pruned at birth and the budget is kept; all views have a say in the 400 iterations after each
+//! reset before 9,000, and not in iteration 400 as well, where density control has not begun; gradients of
+//! several views that are left at the end make no step.
 //!
 //! Ours alone: averaging, which then stands for the large steps (both take noise out of late steps of one
 //! view), and a budget from the photos (`capacity`).

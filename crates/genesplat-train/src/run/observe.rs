@@ -39,8 +39,8 @@ pub struct StepLog {
     pub sh_degree: u8,
     /// Rate of positions, world units.
     pub position_rate: f32,
-    /// What the device found, in iterations that read it back; what it found some steps before, where it would
-    /// have had to be waited for.
+    /// What the device found, in iterations that read it back; what it found some steps before, where it
+    /// would have had to be waited for.
     #[serde(flatten)]
     pub report: Option<StepReport>,
 }

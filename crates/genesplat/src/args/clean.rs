@@ -16,8 +16,8 @@ pub(crate) struct CleanArgs {
     /// (above) and after, from a step back
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Write it although photos that training never saw look worse without what is removed, or the splat shows
-    /// less of the photos than one colour each would, as one of another scene does
+    /// Write it although photos that training never saw look worse without what is removed, or the splat
+    /// shows less of the photos than one colour each would, as one of another scene does
     #[arg(long, help_heading = MORE)]
     pub(crate) anyway: bool,
     #[command(flatten)]

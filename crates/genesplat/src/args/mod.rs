@@ -98,8 +98,8 @@ pub(crate) enum Command {
     /// Make a finished splat of any trainer better: gradient steps, whose last states are averaged, or the
     /// genetic search
     Refine(RefineArgs),
-    /// Remove what no photo supports: Gaussians that none or one shows, right in front of cameras, or away from
-    /// everything
+    /// Remove what no photo supports: Gaussians that none or one shows, right in front of cameras, or away
+    /// from everything
     Clean(CleanArgs),
     /// List what this machine can train on, or test a graphics device against the CPU
     Devices(DevicesArgs),

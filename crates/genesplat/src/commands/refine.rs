@@ -139,7 +139,8 @@ fn finishing(name: MethodName, given: MethodConfig) -> MethodConfig {
     MethodConfig { densify_until: 0, averaging: true, position_rate_start: usual.position_rate_end, ..usual }
 }
 
-/// Fails where a splat is one of another scene, or in another frame. `scores` are those of all training photos.
+/// Fails where a splat is one of another scene, or in another frame. `scores` are those of all training
+/// photos.
 fn check_shows(scores: &Evaluation, scene: &Scene, path: &Path) -> Result<()> {
     let problem = Misses::of(&scene.train, scores)?.problem(path, &scene.name);
     problem.map_or(Ok(()), |problem| {

@@ -10,8 +10,8 @@ use serde_json::Value;
 use crate::poses::{said, small_photos, with_python};
 use crate::support::{command, json, number, python_with, real_data, text};
 
-/// The functions that choose, and photos with planted features: each shares its own 30 with the next photo of a round, and
-/// has 10 that all others have too.
+/// The functions that choose, and photos with planted features: each shares its own 30 with the next photo of
+/// a round, and has 10 that all others have too.
 const PLANTED: &str = r"
 import json
 rng = np.random.default_rng(5)

@@ -19,8 +19,8 @@ pub struct PoseGradient {
 }
 
 impl PoseGradient {
-    /// What the geometry of the first `count` of 16 splats adds: through `t = R p + T`, and through `u`, whose
-    /// rows are `f/z · (R_axis − q · R_2)`.
+    /// What the geometry of the first `count` of 16 splats adds: through `t = R p + T`, and through `u`,
+    /// whose rows are `f/z · (R_axis − q · R_2)`.
     #[inline(always)]
     pub(crate) fn add_geometry<S: Simd>(
         &mut self,

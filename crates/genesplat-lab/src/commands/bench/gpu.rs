@@ -1,9 +1,10 @@
 //! `genesplat-lab bench gpu`: what training steps and scoring cost on the graphics device, at several sizes,
 //! in one call.
 //!
-//! A whole run comes last, on the scene of `--data` or on the bundled one. Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
+//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read:
 //! the device's own, stage by stage, and the host's, over steps that are submitted one after the other
-//! without waiting, as in training. Scoring is measured as in `bench genetic`.
+//! without waiting, as in training. Scoring is measured as in `bench genetic`. A whole run comes last, on the
+//! scene of `--data` or on the bundled one.
 
 use std::time::{Duration, Instant};
 
@@ -22,8 +23,8 @@ use super::workload::Source;
 use super::{middle, print_figures};
 use crate::args::BenchGpuArgs;
 
-/// Fewest steps before a clock counts, and how long they go on at least: buffers grow, kernels are compiled, and
-/// a card's clock rises.
+/// Fewest steps before a clock counts, and how long they go on at least: buffers grow, kernels are compiled,
+/// and a card's clock rises.
 const WARM_UP_STEPS: u32 = 3;
 const WARM_UP: Duration = Duration::from_secs(1);
 const SCORINGS: usize = 3;

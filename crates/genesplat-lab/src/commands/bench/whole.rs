@@ -1,5 +1,5 @@
-//! A whole run on the graphics device, as a user has it: seconds from the first step to the last score, and how
-//! good the result is. Steps alone do not tell what a run takes.
+//! A whole run on the graphics device, as a user has it: seconds from the first step to the last score, and
+//! how good the result is. Steps alone do not tell what a run takes.
 
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
