@@ -29,7 +29,7 @@ def end_with_parent():
 
 @contextlib.contextmanager
 def progress(what, count, total):
-    """Tells, twice a second, what the database counts by now.
+    """Tells, twice a second, what `count` says of the database by now.
 
     COLMAP's own copy of SQLite reads it: of two copies in one process, each breaks the locks of the other, and COLMAP aborts.
     """
@@ -39,7 +39,7 @@ def progress(what, count, total):
         with pycolmap.Database.open(job["database"]) as database:
             while not ended.wait(0.5):
                 try:
-                    say(what=what, done=min(getattr(database, count)(), total), total=total)
+                    say(what=what, done=min(count(database), total), total=total)
                 except RuntimeError:
                     pass
 
@@ -59,14 +59,22 @@ def in_background(function):
 
 
 def extract_features():
-    with progress("features", "num_images", job["photos"]):
+    with progress("features", photos_with_features, job["photos"]):
         for names in job["sizes"] or [[]]:
             extract_features_of(names)
     share_camera(job["database"], job["sizes"])
 
 
+def photos_with_features(database):
+    return sum(database.exists_keypoints(image.image_id) for image in database.read_all_images())
+
+
 def extract_features_of(names):
-    """Of the photos with these names; where there are none, of all. Photos of one camera have one size."""
+    """Of the photos with these names; where there are none, of all. Photos of one camera have one size.
+
+    They get their numbers in the order of their names before, and not in that in which threads are done with them: one folder
+    of photos has one result.
+    """
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads = job["threads"]
     options.max_image_size = job["max_side"]
@@ -77,11 +85,17 @@ def extract_features_of(names):
         reader.mask_path = job["masks"]
     if job["single_camera"]:
         reader.existing_camera_id = camera_of(job["database"], names)
+    mode = pycolmap.CameraMode.SINGLE if job["single_camera"] else pycolmap.CameraMode.AUTO
+    # COLMAP wants the file to be there.
+    pycolmap.Database.open(job["database"]).close()
+    pycolmap.import_images(job["database"], job["images"], mode, image_names=names, options=reader)
+    if job["single_camera"]:
+        reader.existing_camera_id = camera_of(job["database"], names)
     pycolmap.extract_features(
         job["database"],
         job["images"],
         image_names=names,
-        camera_mode=pycolmap.CameraMode.SINGLE if job["single_camera"] else pycolmap.CameraMode.AUTO,
+        camera_mode=mode,
         reader_options=reader,
         extraction_options=options,
         device=pycolmap.Device.cpu,
@@ -99,7 +113,7 @@ def match_features():
     unquote_names(job["database"])
     bound_features(job["database"], job["max_features"])
     pairs, chosen_by = chosen_pairs(Photos(job["database"]), job["pairing"])
-    with progress("matches", "num_matched_image_pairs", len(pairs)):
+    with progress("matches", pycolmap.Database.num_matched_image_pairs, len(pairs)):
         match_pairs(job["database"], pairs, job["threads"])
     say(chosen_by=chosen_by)
 
@@ -131,7 +145,7 @@ def retry_left_out(model, folder, tell):
     if not pairs:
         return
     say(retried=len(left_out), pairs=len(pairs))
-    with progress("matches", "num_matched_image_pairs", len(matched) + len(pairs)):
+    with progress("matches", pycolmap.Database.num_matched_image_pairs, len(matched) + len(pairs)):
         match_pairs(job["database"], pairs, job["threads"])
     map_photos(job, folder, tell, start=folder)
 
