@@ -69,6 +69,10 @@ def photos_with_features(database):
     return sum(database.exists_keypoints(image.image_id) for image in database.read_all_images())
 
 
+def compared_pairs(database):
+    return database.num_matched_image_pairs()
+
+
 def extract_features_of(names):
     """Of the photos with these names; where there are none, of all. Photos of one camera have one size.
 
@@ -113,7 +117,7 @@ def match_features():
     unquote_names(job["database"])
     bound_features(job["database"], job["max_features"])
     pairs, chosen_by = chosen_pairs(Photos(job["database"]), job["pairing"])
-    with progress("matches", pycolmap.Database.num_matched_image_pairs, len(pairs)):
+    with progress("matches", compared_pairs, len(pairs)):
         match_pairs(job["database"], pairs, job["threads"])
     say(chosen_by=chosen_by)
 
@@ -145,7 +149,7 @@ def retry_left_out(model, folder, tell):
     if not pairs:
         return
     say(retried=len(left_out), pairs=len(pairs))
-    with progress("matches", pycolmap.Database.num_matched_image_pairs, len(matched) + len(pairs)):
+    with progress("matches", compared_pairs, len(matched) + len(pairs)):
         match_pairs(job["database"], pairs, job["threads"])
     map_photos(job, folder, tell, start=folder)
 
