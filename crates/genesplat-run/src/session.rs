@@ -244,8 +244,13 @@ impl RunSession {
 
     /// The run has come to its end: its checkpoint is not needed any more.
     pub fn finish(&self) -> Result<()> {
-        remove_if_there(&self.path, CHECKPOINT)
+        remove_checkpoint(&self.path)
     }
+}
+
+/// Of a run whose figures are written. One that is killed just then leaves it.
+pub fn remove_checkpoint(folder: &Path) -> Result<()> {
+    remove_if_there(folder, CHECKPOINT)
 }
 
 /// Whether a run has been in `folder`.

@@ -8,14 +8,13 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
-use genesplat_core::{Gaussians, RenderSettings, ScreenFilter, median};
+use genesplat_core::{Camera, Gaussians, RenderSettings, ScreenFilter, median};
 use genesplat_io::format::{self, Format, Loaded};
 use genesplat_io::{
     FormatError, LoadOptions, MaskUse, Offset, Scene, SceneDigests, SceneError, command_line, list_scene,
     offset, shown,
 };
 use genesplat_train::Background;
-use glam::DVec3;
 
 use crate::exposure::Exposure;
 use crate::files::{remove_if_there, write_file};
@@ -139,14 +138,12 @@ impl Splat {
         })
     }
 
-    /// What the cameras in `data`, or of the run's own scene, have as up on average, of length 1; `None`
-    /// where there are none.
-    pub fn up(&self, data: Option<&Path>, asked: &PhotosAsked) -> Result<Option<DVec3>> {
+    /// The cameras in `data`, or of the run's own scene; empty where that is not there.
+    pub fn cameras(&self, data: Option<&Path>, asked: &PhotosAsked) -> Result<Vec<Camera>> {
         let own = || self.trained_on.as_ref().map(|dataset| &*dataset.path).filter(|path| path.is_dir());
-        let Some(data) = data.or_else(own) else { return Ok(None) };
+        let Some(data) = data.or_else(own) else { return Ok(Vec::new()) };
         let listed = list_scene(data, &self.options(data, asked)?)?;
-        let up = listed.photos.iter().map(|photo| -photo.camera.rotation().row(1)).sum::<DVec3>();
-        Ok(up.try_normalize())
+        Ok(listed.photos.iter().map(|photo| photo.camera).collect())
     }
 
     fn options(&self, data: &Path, asked: &PhotosAsked) -> Result<LoadOptions> {

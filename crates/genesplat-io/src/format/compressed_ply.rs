@@ -145,6 +145,11 @@ fn sh_byte(value: f32) -> u8 {
     ((value / (2.0 * SH_MAX) + 0.5) * 256.0).floor() as u8
 }
 
+/// A coefficient as a file has it.
+pub(super) fn rounded_sh(value: f32) -> f32 {
+    sh_from_byte(sh_byte(value))
+}
+
 fn sh_from_byte(byte: u8) -> f32 {
     let fraction = match byte {
         0 => 0.0,

@@ -18,6 +18,7 @@
 mod compressed_ply;
 mod error;
 mod glb;
+mod mean_colours;
 mod packing;
 mod sog;
 mod splat;
@@ -31,6 +32,7 @@ use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
 use genesplat_core::{Gaussians, ScreenFilter, median, memory};
 
 pub use error::FormatError;
+pub use mean_colours::keep_mean_colours;
 pub use spz::SpzVersion;
 
 use crate::atomic::write_atomically;

@@ -15,7 +15,7 @@ use genesplat::io::{LoadOptions, PhotoSize, Scene, Spill, load_points, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
-use genesplat::run::session::{Caller, RunSession};
+use genesplat::run::session::{Caller, RunSession, remove_checkpoint};
 use genesplat::run::settings::Machine;
 use genesplat::run::settings::Settings;
 use genesplat::run::training::{Ended, Run};
@@ -102,6 +102,7 @@ impl<'a> Runner<'a> {
             let trained = match self.state(cell, &settings) {
                 // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
+                    remove_checkpoint(&self.folder(cell))?;
                     board.kept(cell, &metrics);
                     ran.results.put(cell, *metrics);
                     continue;

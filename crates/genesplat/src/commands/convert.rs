@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, RenderSettings, Similarity, View, memory};
+use genesplat::core::{Camera, Gaussians, RenderSettings, Similarity, View, memory};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::ply::leave_out_faults;
 use genesplat::io::{Offset, offset, plural, shown};
@@ -51,9 +51,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     splat.cloud = clean(splat.cloud, &args.splat)?;
     let photos = photos(&splat, format, args)?;
     say_size("read from", &args.splat, in_file)?;
+    let cameras = cameras(&splat, args)?;
     let mut cloud = cut(&splat.cloud, args)?;
-    let placed = args.placement.similarity(up(&splat, args)?);
-    placed.apply(&mut cloud);
+    let placed = args.placement.similarity(up(&cameras, args));
     let offset = offset_after(&splat, &placed);
     let options = Options {
         screen_filter: splat.settings.filter,
@@ -61,6 +61,8 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         spz_version: args.spz_version.unwrap_or_default(),
         offset: offset.filter(|_| args.georeferenced),
     };
+    format::keep_mean_colours(&mut cloud, format, &options, &cameras);
+    placed.apply(&mut cloud);
     format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;
     splat::write_offset(&args.out, offset.filter(|_| !args.georeferenced))?;
     tell_coarse(splat.step, &splat.cloud, &args.splat);
@@ -119,16 +121,28 @@ fn tell_coarse(step: f64, cloud: &Gaussians, file: &Path) {
     }
 }
 
-/// What is up in the splat; only asked for where it counts.
-fn up(splat: &Splat, args: &ConvertArgs) -> Result<DVec3> {
-    if args.placement.up.is_none() {
-        return Ok(DVec3::NEG_Y);
+/// Those that look at the splat, where they are known.
+fn cameras(splat: &Splat, args: &ConvertArgs) -> Result<Vec<Camera>> {
+    let found = splat.cameras(args.data.as_deref(), &args.photos.asked()?);
+    match found {
+        Err(why) if args.data.is_none() && args.placement.up.is_none() => {
+            output::tell(&format!("notice: colours are written as they are, since {why}"));
+            Ok(Vec::new())
+        }
+        found => found,
     }
-    let found = splat.up(args.data.as_deref(), &args.photos.asked()?)?;
+}
+
+/// What is up in the splat; only asked for where it counts.
+fn up(cameras: &[Camera], args: &ConvertArgs) -> DVec3 {
+    if args.placement.up.is_none() {
+        return DVec3::NEG_Y;
+    }
+    let found = cameras.iter().map(|camera| -camera.rotation().row(1)).sum::<DVec3>().try_normalize();
     let [x, y, z] = found.unwrap_or(DVec3::NEG_Y).to_array();
     let of = if found.is_some() { "by the cameras" } else { "as files have it" };
     output::tell(&format!("up was {x:.2} {y:.2} {z:.2}, {of}"));
-    Ok(DVec3::new(x, y, z))
+    DVec3::new(x, y, z)
 }
 
 /// What has been subtracted from the coordinates of the splat once it is placed. One that is turned or scaled

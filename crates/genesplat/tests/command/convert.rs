@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use genesplat::core::gaussians::sigmoid;
+use genesplat::core::spherical_harmonics::sh_index;
 use genesplat::core::{Gaussians, Similarity};
 use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::format::{self, Format};
@@ -303,4 +304,21 @@ fn the_peers_splat_loses_little() {
         assert!(bytes <= most_bytes, "{name} has {bytes} bytes");
         assert!(figure(&said, "after", 3) >= least_psnr, "{name}: {said}");
     }
+}
+
+/// `.splat` shows one colour from everywhere: that which cameras see on average, where they are known.
+#[test]
+fn colours_of_a_format_without_highlights_are_those_that_cameras_see() {
+    let folder = tempfile::tempdir().unwrap();
+    let [ply, known, unknown] =
+        ["a.ply", "known.splat", "unknown.splat"].map(|name| folder.path().join(name));
+    let mut cloud = format::read(&finished_run().join("point_cloud.ply")).unwrap().cloud;
+    for row in &mut cloud.sh {
+        row[sh_index(0, 2)] += 0.5;
+    }
+    write_ply(&ply, &cloud, &PlyOptions::default()).unwrap();
+    succeed(["convert", text(&ply), text(&known), "--data", text(scene())]);
+    succeed(["convert", text(&ply), text(&unknown)]);
+    let [whole, known, unknown] = [&ply, &known, &unknown].map(|file| psnr(file, scene()));
+    assert!(unknown < whole - 1.0 && known > unknown + 0.5, "{whole} {known} {unknown}");
 }
