@@ -41,7 +41,7 @@ impl ClusterBackend {
         let (_, drawn) = self.draw_view(&canvas, settings, held)?;
         let target = self.own.view(view).1;
         let parts = self.group.exchange(drawn.and_then(|()| self.drawing.rows_for_loss(&canvas, target)))?;
-        self.drawing.loss(level, &canvas, target, &parts, false);
+        self.drawing.loss(level, &canvas, target, &parts, None);
         let parts = self.group.gather(Ok(self.drawing.measures(&canvas)))?;
         let (sums, errors) = Drawing::measured(&canvas, &parts);
         Ok(ViewLoss {

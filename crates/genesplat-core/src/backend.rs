@@ -141,6 +141,9 @@ pub struct TrainStep {
     pub view: usize,
     /// How to render it.
     pub settings: RenderSettings,
+    /// The gradient is of differences that count by their square below so many of 255 levels, and by their
+    /// amount above (Huber 1964); 0 for L1.
+    pub huber_delta: u32,
     /// The optimiser step; `None` computes gradients for the statistics only, or for a later step.
     pub update: Option<Update>,
     /// Where there is no update: add the gradients to [`Moments::pending`](crate::Moments::pending), all of
@@ -153,7 +156,7 @@ pub struct TrainStep {
 /// What a training step found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct StepReport {
-    /// `0.8 · L1 + 0.2 · (1 − SSIM)`.
+    /// `0.8 · L1 + 0.2 · (1 − SSIM)`, whatever the gradient is of.
     pub loss: f32,
     /// Gaussians in front of the camera whose box around `alpha >= 1/255` meets the image.
     pub visible: usize,

@@ -66,6 +66,7 @@ fn step(number: u32, view: usize) -> TrainStep {
     TrainStep {
         view,
         settings: RenderSettings::default(),
+        huber_delta: 0,
         update: Some(Update { rates, step: number, opacity_step: number, mcmc: None }),
         keeps_gradients: false,
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },

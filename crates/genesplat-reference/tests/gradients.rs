@@ -6,7 +6,7 @@
 mod support;
 
 use genesplat_core::{Camera, Photo, RenderSettings, ScreenFilter, View};
-use genesplat_reference::{Cloud64, Cutoff, backward, gradients, loss, render};
+use genesplat_reference::{Cloud64, Cutoff, backward, gradients, huber_loss, render};
 use support::*;
 
 const TOLERANCE: f64 = 1e-5;
@@ -115,19 +115,21 @@ fn the_loss_by_every_pixel() {
         let photo: Photo = random_photo(width, height, 10);
         let mut uniform = Uniform::new(11);
         let image: Vec<f64> = (0..3 * width * height).map(|_| uniform.between(-0.1, 1.1)).collect();
-        let (_, actual) = loss(&image, &photo);
         let h = 1e-6;
-        let expected: Vec<f64> = (0..image.len())
-            .map(|index| {
-                let at = |offset: f64| {
-                    let mut moved = image.clone();
-                    moved[index] += offset;
-                    loss(&moved, &photo).0
-                };
-                (at(h) - at(-h)) / (2.0 * h)
-            })
-            .collect();
-        compare("pixel", &expected, &actual, TOLERANCE).unwrap();
+        for huber_delta in [0, 40] {
+            let (_, actual) = huber_loss(&image, &photo, huber_delta);
+            let expected: Vec<f64> = (0..image.len())
+                .map(|index| {
+                    let at = |offset: f64| {
+                        let mut moved = image.clone();
+                        moved[index] += offset;
+                        huber_loss(&moved, &photo, huber_delta).0
+                    };
+                    (at(h) - at(-h)) / (2.0 * h)
+                })
+                .collect();
+            compare("pixel", &expected, &actual, TOLERANCE).unwrap();
+        }
     }
 }
 

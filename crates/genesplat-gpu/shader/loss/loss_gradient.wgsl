@@ -13,6 +13,15 @@
 // Of those that this dispatch has.
 @group(0) @binding(7) var<uniform> first_tile_row: u32;
 
+// Differences count by their square below so many levels of 255; 0 for L1.
+override HUBER_DELTA: u32 = 0u;
+
+// By the difference of a value; the subgradient of |x| at 0 is 0.
+fn l1_slope(difference: f32) -> f32 {
+    let rise = 255.0 / f32(max(HUBER_DELTA, 1u));
+    return select(clamp(difference * rise, -1.0, 1.0), sign(difference), HUBER_DELTA == 0u);
+}
+
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let tile = group + vec3(0u, first_tile_row, 0u);
@@ -59,7 +68,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
         by += SSIM_WINDOW[tap] * halo[local.x][local.y + tap].xyz;
     }
-    // 3. Both terms of the loss; the subgradient of |x| at 0 is 0.
+    // 3. Both terms of the loss.
     let pixel = tile.xy * TILE + local;
     if pixel.x < view.width && pixel.y < view.height {
         let index = pixel.y * view.width + pixel.x;
@@ -67,7 +76,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let y = photo_value(photo[index], channel);
         let values = f32(3u * pixels);
         let structure = by.x + 2.0 * x * by.y + y * by.z;
-        let total = ((1.0 - LAMBDA_DSSIM) * sign(x - y) - LAMBDA_DSSIM * structure) / values;
+        let total = ((1.0 - LAMBDA_DSSIM) * l1_slope(x - y) - LAMBDA_DSSIM * structure) / values;
         gradient[channel * pixels + index] = select(0.0, total, counts(photo[index]));
     }
 }

@@ -42,7 +42,8 @@ impl GpuBackend {
         let needs = Needs { loss: true, gradient: true, ..Needs::default() };
         self.submit_view(&pass, optimiser.as_ref(), needs, Held::Cloud, |gpu, recorder| {
             let Self { state, lists, pixels, .. } = gpu;
-            pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
+            let photo = &gpu.views[step.view].photo;
+            pixels.record_loss(recorder, lists, photo, &pass, step.huber_delta);
             pixels.record_backward(recorder, lists, &pass, needs);
             let optimiser = optimiser.as_ref();
             Optimise { state, lists, pixels, optimiser, step }.record(recorder);

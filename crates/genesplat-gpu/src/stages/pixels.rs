@@ -21,7 +21,7 @@ pub(crate) struct Needs {
 
 impl Needs {
     /// What of `kernel` serves them.
-    fn of(self, kernel: TileKernel) -> TileKernel {
+    fn of(self, kernel: TileKernel<'static>) -> TileKernel<'static> {
         if self.transmittance { TileKernel { overrides: &[("TRANSMITTANCE", 1)], ..kernel } } else { kernel }
     }
 }
@@ -94,13 +94,14 @@ impl Pixels {
         lists.run_tiles(recorder, view, needs.of(tiles::RASTERISE), &parts);
     }
 
-    /// Stage `loss` against `photo`; leaves the gradient, too.
+    /// Stage `loss` against `photo`; leaves the gradient of the loss that has `huber_delta`, too.
     pub(crate) fn record_loss(
         &self,
         recorder: &mut Recorder,
         lists: &Lists,
         photo: &Memory,
         view: &ViewPass,
+        huber_delta: u32,
     ) {
         recorder.stage("loss");
         self.record_loss_sums(recorder, lists, photo, view, true);
@@ -108,7 +109,8 @@ impl Pixels {
         recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.gradient];
-        let kernel = TileKernel { layers: 3, ..TileKernel::new(&shaders::LOSS_GRADIENT) };
+        let overrides = &[("HUBER_DELTA", huber_delta)];
+        let kernel = TileKernel { layers: 3, overrides, ..TileKernel::new(&shaders::LOSS_GRADIENT) };
         lists.run_tiles(recorder, view, kernel, &parts);
     }
 

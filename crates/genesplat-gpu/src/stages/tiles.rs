@@ -16,15 +16,15 @@ use crate::stages::lists::Lists;
 const ROW_STEP: usize = 256;
 
 /// A kernel over the tiles of a view, in so many layers.
-pub(crate) struct TileKernel {
+pub(crate) struct TileKernel<'a> {
     pub(crate) shader: &'static Shader,
-    pub(crate) overrides: &'static [(&'static str, u32)],
+    pub(crate) overrides: &'a [(&'static str, u32)],
     pub(crate) layers: u32,
     /// Instructions for each intersection of the lists, all invocations together.
     pub(crate) for_intersection: u64,
 }
 
-impl TileKernel {
+impl TileKernel<'_> {
     /// Of one layer, without constants.
     pub(crate) const fn new(shader: &'static Shader) -> Self {
         Self { shader, overrides: &[], layers: 1, for_intersection: 0 }
@@ -32,13 +32,13 @@ impl TileKernel {
 }
 
 /// What `lab/performance.md` counts in warps, rounded up: a splat reaches half of a tile's blocks.
-pub(crate) const RASTERISE: TileKernel =
+pub(crate) const RASTERISE: TileKernel<'static> =
     TileKernel { for_intersection: 5_000, ..TileKernel::new(&shaders::RASTERISE) };
-pub(crate) const RASTERISE_BACKWARD: TileKernel =
+pub(crate) const RASTERISE_BACKWARD: TileKernel<'static> =
     TileKernel { for_intersection: 10_000, ..TileKernel::new(&shaders::RASTERISE_BACKWARD) };
 
 /// Sixteen individuals a layer: half of the pixels of a tile take its whole loop.
-pub(crate) fn rasterise_individuals(individuals: u32) -> TileKernel {
+pub(crate) fn rasterise_individuals(individuals: u32) -> TileKernel<'static> {
     let layers = individuals.div_ceil(SLOTS);
     TileKernel {
         layers,

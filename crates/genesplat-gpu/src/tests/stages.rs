@@ -1,7 +1,7 @@
 //! Every stage's buffers against those of the CPU.
 
 use fearless_simd::Level;
-use genesplat_core::RowEdit;
+use genesplat_core::{RowEdit, StatisticsRequest};
 use genesplat_kernels::cpu::{Pinhole, Target, ViewBuffers};
 
 use super::*;
@@ -10,12 +10,19 @@ use crate::layout::{INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE, ViewPass};
 
 const GRADIENT: usize = INTERSECTION_GRADIENT_FLOATS as usize;
 
+/// A step that moves nothing. Odd degrees have Huber's slope in the loss.
+fn looking(settings: &RenderSettings) -> TrainStep {
+    let huber_delta = 13 * u32::from(settings.sh_degree % 2);
+    TrainStep { update: None, huber_delta, ..step(1, *settings) }
+}
+
 /// The buffers of a view on the CPU, forward and backward, and its loss.
 fn cpu_buffers(cloud: &Gaussians, settings: &RenderSettings) -> (ViewBuffers, f32) {
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     let mut buffers = ViewBuffers::default();
     buffers.render(level, cloud, &camera, settings);
-    let loss = buffers.backward(level, &camera, &Target::from(&view()), None).unwrap();
+    let step = TrainStep { statistics: StatisticsRequest::default(), ..looking(settings) };
+    let loss = buffers.backward(level, &camera, &Target::from(&view()), &step).unwrap();
     (buffers, loss)
 }
 
@@ -59,7 +66,7 @@ fn every_stage_matches_where_pixels_are_finished() {
 fn stages_match(gpu: &mut GpuBackend, cloud: Gaussians, settings: &RenderSettings) -> Result<(), String> {
     let (buffers, loss) = cpu_buffers(&cloud, settings);
     gpu.upload(cloud.into()).unwrap();
-    gpu.train_step(&TrainStep { update: None, ..step(1, *settings) }).unwrap();
+    gpu.train_step(&looking(settings)).unwrap();
     let report = gpu.report().unwrap();
     splats_match(gpu, &buffers)?;
     lists_match(gpu, &buffers, settings)?;

@@ -199,7 +199,7 @@ impl Device for CpuBackend {
         let (TrainView { camera, target }, settings) = (&self.views[step.view], &step.settings);
         self.buffers.draw(self.level, (camera, &Band::whole(camera)), settings);
         self.buffers.ensure_gradient_rows()?;
-        let loss = self.buffers.backward(self.level, camera, target, step.statistics.density)?;
+        let loss = self.buffers.backward(self.level, camera, target, step)?;
         if !loss.is_finite() {
             let steps = self.steps;
             return Err(BackendError::diverged(self.trained.cloud(self.level), steps));

@@ -11,6 +11,6 @@ pub use super::bin::coverage::tile_rows;
 pub use super::blend::blending_weights::weights_of;
 pub use super::blend::gradient_row::{GradientRow, columns_of};
 pub use super::loss::squared_error::{mean_squared_error, squared_errors};
-pub use super::loss::{LOSS_REACH, loss_of_rows, loss_of_sums};
+pub use super::loss::{LOSS_REACH, Wanted, loss_of_rows, loss_of_sums};
 pub use super::update::{Share, SplatGradients};
 pub use super::view::{Band, CHUNK as ROWS_TOGETHER, Splat, Splats};

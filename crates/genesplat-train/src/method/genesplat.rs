@@ -26,6 +26,9 @@ use crate::timeline::{Event, Growth, Haste, Length, Timeline, When};
 /// px, 2 and 1 are worse.)
 const GRADUAL: f64 = 1.5;
 
+/// HUBERDOC
+const HUBER_DELTA: u32 = 13;
+
 /// A run that sees each photo fewer times is still learning at its end. (Haste on 112, 56 and 32 photos of
 /// bonsai, 3,500 steps at 160 px, on validation photos: 31 looks +1.3 dB, SSIM +0.016; 62 looks +0.6, +0.014;
 /// 109 looks -0.1, +0.009.)
@@ -61,6 +64,7 @@ impl Method for Genesplat {
     fn defaults(&self) -> MethodConfig {
         MethodConfig {
             name: MethodName::Genesplat,
+            huber_delta: HUBER_DELTA,
             capacity: 1.0,
             gradual_growth: true,
             few_looks: FEW_LOOKS,
@@ -78,6 +82,7 @@ impl Method for Genesplat {
             "opacity_rate",
             "scale_rate",
             "rotation_rate",
+            "huber_delta",
             "gradient_threshold",
             "capacity",
             "gradual_growth",

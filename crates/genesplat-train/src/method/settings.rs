@@ -59,6 +59,9 @@ settings! {
     scale_rate: f32,
     /// Rate of the quaternions; not negative.
     rotation_rate: f32,
+    /// Differences from the photo count by their square below so many of 255 levels, and by their amount
+    /// above (Huber); 0 for L1, as published.
+    huber_delta: u32,
     /// Densification and opacity resets end before this iteration; 0 switches both off.
     densify_until: u32,
     /// Iterations between two densifications; at least 1.
@@ -171,7 +174,7 @@ mod tests {
             assert_eq!(read(&text).unwrap(), config);
             let own = name.method().own_settings();
             assert_eq!(text.lines().count(), 1 + own.len(), "{text}");
-            assert!(own.len() <= 13, "{name}: {} settings", own.len());
+            assert!(own.len() <= 14, "{name}: {} settings", own.len());
         }
     }
 

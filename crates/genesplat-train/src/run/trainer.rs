@@ -343,7 +343,9 @@ impl<'a> Trainer<'a> {
         };
         let settings = RenderSettings { background, ..self.settings(i) };
         let (update, keeps_gradients) = (self.update(i, step), step == OptimiserStep::Later);
-        self.backend.train_step(&TrainStep { view, settings, update, keeps_gradients, statistics })?;
+        let huber_delta = self.run.config().method.huber_delta;
+        let made = TrainStep { view, settings, huber_delta, update, keeps_gradients, statistics };
+        self.backend.train_step(&made)?;
         self.place.progress.count(step);
         Ok(())
     }

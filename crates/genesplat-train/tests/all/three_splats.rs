@@ -51,7 +51,14 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
     let mut backend = CpuBackend::new();
     backend.set_views(&[view]).unwrap();
     backend.upload(cloud.clone().into()).unwrap();
-    let step = TrainStep { view: 0, settings, update: None, keeps_gradients: false, statistics: request };
+    let step = TrainStep {
+        view: 0,
+        settings,
+        huber_delta: 0,
+        update: None,
+        keeps_gradients: false,
+        statistics: request,
+    };
     backend.train_step(&step).unwrap();
     let found = backend.statistics().unwrap();
     let widen = |values: Vec<f32>| values.into_iter().map(f64::from).collect();

@@ -9,6 +9,9 @@
 //! variances only enter as their sum, so `E[x² + y²]` is one moment. The gradient of S is, as the window is
 //! symmetric, `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`.
 //!
+//! A method may have the gradient of Huber's function in the place of L1's ([`Wanted::huber_delta`]); the
+//! loss that is told is of L1.
+//!
 //! Under a mask, render and photo are made equal before the loss, and the gradient zero after it
 //! ([`Target::hide`]). Means stay those over all pixels, so that a pixel weighs the same in every photo.
 
@@ -131,8 +134,16 @@ impl From<&View> for Target {
     }
 }
 
-/// Loss of `image` against a whole photo; `gradient` `[3, H, W]` is overwritten when given.
-pub(crate) fn loss(level: Level, image: &Image, photo: &PhotoRows, gradient: Option<&mut Vec<f32>>) -> f32 {
+/// A gradient that is wanted.
+pub struct Wanted<'a> {
+    /// Where it goes `[3, H, W]`; what was there is overwritten.
+    pub gradient: &'a mut Vec<f32>,
+    /// As [`TrainStep`](genesplat_core::TrainStep) has it.
+    pub huber_delta: u32,
+}
+
+/// Loss of `image` against a whole photo.
+pub(crate) fn loss(level: Level, image: &Image, photo: &PhotoRows, gradient: Option<Wanted>) -> f32 {
     let (mut sums, [width, height]) = (Vec::new(), photo.size);
     loss_of_rows(level, (image, 0), photo, 0..height, gradient, &mut sums);
     loss_of_sums(&sums, [width, height])
@@ -149,7 +160,7 @@ pub fn loss_of_rows(
     (image, first): (&Image, usize),
     photo: &PhotoRows,
     rows: Range<usize>,
-    gradient: Option<&mut Vec<f32>>,
+    gradient: Option<Wanted>,
     sums: &mut Vec<[f64; 2]>,
 ) {
     let ([width, height], held) = (photo.size, image.planes.len() / 3);
@@ -159,6 +170,7 @@ pub fn loss_of_rows(
         return;
     }
     let strips = rows.len().div_ceil(STRIP);
+    let slope = L1Slope::new(gradient.as_ref().map_or(0, |wanted| wanted.huber_delta), 3 * width * height);
     let task = |index: usize, sums: &mut [[f64; 2]], out: Option<&mut [f32]>| {
         let channel = index / strips;
         let picture = Channel {
@@ -169,7 +181,7 @@ pub fn loss_of_rows(
             first_of_photo: photo.rows.start,
         };
         let top = rows.start + index % strips * STRIP;
-        dispatch!(level, simd => walk_strip(simd, &picture, top..top + sums.len(), sums, out));
+        dispatch!(level, simd => walk_strip(simd, &picture, top..top + sums.len(), sums, out.map(|out| (out, slope))));
     };
     let sums = sums.chunks_mut(rows.len()).flat_map(|channel| channel.chunks_mut(STRIP));
     match gradient {
@@ -177,7 +189,7 @@ pub fn loss_of_rows(
             let sums: Vec<_> = sums.collect();
             sums.into_par_iter().enumerate().for_each(|(index, sums)| task(index, sums, None));
         }
-        Some(gradient) => {
+        Some(Wanted { gradient, .. }) => {
             gradient.resize(3 * rows.len() * width, 0.0);
             let out =
                 gradient.chunks_mut(rows.len() * width).flat_map(|plane| plane.chunks_mut(STRIP * width));
@@ -233,7 +245,7 @@ fn walk_strip<S: Simd>(
     channel: &Channel,
     strip: Range<usize>,
     sums: &mut [[f64; 2]],
-    mut gradient: Option<&mut [f32]>,
+    mut gradient: Option<(&mut [f32], L1Slope)>,
 ) {
     let window = ssim_window().map(|v| v as f32);
     let width = channel.size[0];
@@ -273,13 +285,42 @@ fn walk_strip<S: Simd>(
         }
         // 3. The gradient of the row whose partial derivatives are now complete.
         let target = centre - radius;
-        if let Some(out) = gradient.as_deref_mut()
+        if let Some((out, slope)) = &mut gradient
             && (first..end).contains(&target)
         {
             let out = &mut out[(target - first) as usize * width..][..width];
             let values = channel.row(target as usize);
-            gradient_row(simd, &window, &partials, target, values, 3 * width * height as usize, out);
+            gradient_row(simd, &window, &partials, target, values, *slope, out);
         }
+    }
+}
+
+/// What a difference weighs in the gradient.
+#[derive(Clone, Copy)]
+struct L1Slope {
+    /// Of each value.
+    l1: f32,
+    ssim: f32,
+    /// Rise of `l1` for each unit of a difference, up to its weight; 0 for a step.
+    rise: f32,
+}
+
+impl L1Slope {
+    fn new(huber_delta: u32, values: usize) -> Self {
+        let l1 = (1.0 - LAMBDA_DSSIM) / values as f32;
+        let rise = if huber_delta == 0 { 0.0 } else { l1 * 255.0 / huber_delta as f32 };
+        Self { l1, ssim: -LAMBDA_DSSIM / values as f32, rise }
+    }
+
+    #[inline(always)]
+    fn at<S: Simd>(self, simd: S, difference: V<S>) -> V<S> {
+        let (most, least) = (V::splat(simd, self.l1), V::splat(simd, -self.l1));
+        if self.rise > 0.0 {
+            return (difference * self.rise).min(most).max(least);
+        }
+        // The subgradient of |x| at 0 is 0.
+        let negative = difference.simd_lt(0.0).select(least, V::splat(simd, 0.0));
+        difference.simd_gt(0.0).select(most, negative)
     }
 }
 
@@ -380,23 +421,17 @@ fn gradient_row<S: Simd>(
     partials: &Ring<3>,
     y: isize,
     (render, photo): (&[f32], &[u8]),
-    values: usize,
+    slope: L1Slope,
     out: &mut [f32],
 ) {
-    let (l1_weight, ssim_weight) = ((1.0 - LAMBDA_DSSIM) / values as f32, -LAMBDA_DSSIM / values as f32);
     let weights = by_slot(window, y);
     for first in (0..render.len()).step_by(LANES) {
         let [by_mean, by_square, by_product] = partials.blur(simd, &weights, first / LANES);
         let count = LANES.min(render.len() - first);
         let x = load_part(simd, &render[first..first + count]);
         let target = load_bytes(simd, &photo[first..first + count]);
-        let zero = V::splat(simd, 0.0);
-        let difference = x - target;
-        // The subgradient of |x| at 0 is 0.
-        let negative = difference.simd_lt(0.0).select(V::splat(simd, -l1_weight), zero);
-        let sign = difference.simd_gt(0.0).select(V::splat(simd, l1_weight), negative);
         let structure = by_mean + x * by_square * 2.0 + target * by_product;
-        let total = structure.mul_add(V::splat(simd, ssim_weight), sign);
+        let total = structure.mul_add(V::splat(simd, slope.ssim), slope.at(simd, x - target));
         out[first..first + count].copy_from_slice(&total.as_slice()[..count]);
     }
 }

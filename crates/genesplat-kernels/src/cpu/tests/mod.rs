@@ -141,7 +141,9 @@ fn fill(
 ) -> Pinhole {
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     buffers.render(level, cloud, &camera, settings);
-    buffers.backward(level, &camera, &loss::Target::from(&view()), signal).unwrap();
+    let statistics = StatisticsRequest { density: signal, genes: false };
+    let step = TrainStep { statistics, ..classic_step(1) };
+    buffers.backward(level, &camera, &loss::Target::from(&view()), &step).unwrap();
     camera
 }
 
@@ -163,8 +165,14 @@ fn statistics(
 ) -> genesplat_core::Statistics {
     let mut backend = backend_with(cloud);
     let request = StatisticsRequest { density: Some(signal), genes: true };
-    let step =
-        TrainStep { view: 0, settings: *settings, update: None, keeps_gradients: false, statistics: request };
+    let step = TrainStep {
+        view: 0,
+        settings: *settings,
+        huber_delta: 0,
+        update: None,
+        keeps_gradients: false,
+        statistics: request,
+    };
     backend.train_step(&step).unwrap();
     backend.statistics().unwrap()
 }

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use fearless_simd::Level;
-use genesplat_core::{DensitySignal, Gaussians, Image, PhotoLost, RenderSettings};
+use genesplat_core::{DensitySignal, Gaussians, Image, PhotoLost, RenderSettings, TrainStep};
 
 use super::band::Band;
 use super::pinhole::Pinhole;
@@ -14,7 +14,7 @@ use crate::cpu::blend::gradient_row::GradientRow;
 use crate::cpu::blend::rasterise::{TileImage, compose, rasterise};
 use crate::cpu::blend::rasterise_backward::rasterise_backward;
 use crate::cpu::bytes_of;
-use crate::cpu::loss::{PhotoRows, Target, loss};
+use crate::cpu::loss::{PhotoRows, Target, Wanted, loss};
 use crate::cpu::simd::prefetch;
 
 /// Seconds spent in each stage since the counters were last taken.
@@ -81,23 +81,24 @@ impl ViewBuffers {
         });
     }
 
-    /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal`
-    /// needs.
+    /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what the step's
+    /// statistics need.
     pub fn backward(
         &mut self,
         level: Level,
         camera: &Pinhole,
         target: &Target,
-        signal: Option<DensitySignal>,
+        step: &TrainStep,
     ) -> Result<f32, PhotoLost> {
         let value = timed(&mut self.seconds.loss, || {
             self.photo.read(target, 0..target.height)?;
             target.hide(&mut self.image.planes);
-            let value = loss(level, &self.image, &self.photo, Some(&mut self.image_gradient));
+            let (gradient, huber_delta) = (&mut self.image_gradient, step.huber_delta);
+            let value = loss(level, &self.image, &self.photo, Some(Wanted { gradient, huber_delta }));
             target.hide(&mut self.image_gradient);
             Ok::<_, PhotoLost>(value)
         })?;
-        self.draw_backward(level, (camera, &Band::whole(camera)), signal);
+        self.draw_backward(level, (camera, &Band::whole(camera)), step.statistics.density);
         Ok(value)
     }
 
