@@ -129,6 +129,10 @@ impl Schedule {
                 "few looks at each photo: other rates but rotations' are {others} times as high"
             ));
         }
+        if timeline.huber_delta > 0 {
+            let levels = timeline.huber_delta;
+            lines.push(format!("differences below {levels} of 255 levels count by their square"));
+        }
         lines
     }
 
