@@ -68,7 +68,8 @@ pub(crate) fn load_sample(
 
 /// Why to train on a scene makes no sense.
 pub fn doubts(scene: &Scene) -> Vec<Doubt> {
-    let photos = scene.train.len() + scene.test.len();
+    let views = scene.train.iter().chain(&scene.test);
+    let photos = views.map(|view| scene.photo_of(&view.name)).collect::<HashSet<_>>().len();
     let few = (photos < PHOTOS_MIN).then(|| Doubt {
         problem: format!(
             "the scene has {photos} {} with cameras, and from fewer than {PHOTOS_MIN} no splat learns how it looks from elsewhere",

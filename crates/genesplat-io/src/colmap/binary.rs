@@ -11,8 +11,8 @@ use crate::error::SceneError;
 use crate::offset::Offset;
 use crate::scene::Point;
 
-/// Least bytes of a camera: id, model, width, height, three parameters.
-const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
+/// Least bytes of a camera: id, model, width, height, two parameters.
+const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 2 * 8;
 /// Least bytes of an image: id, pose, camera id, an empty name's NUL, count of features.
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
 /// One feature of an image: `f64 x, y`, `i64` point id.

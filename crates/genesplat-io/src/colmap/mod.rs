@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 
 pub(crate) use check::{Finite, Judged, points as finite_points};
 pub(crate) use listing::{PhotoFolder, list};
+pub(crate) use models::{ROUND, round};
 pub(crate) use tracks::parse_tracks;
 pub use write::write_model;
 

@@ -19,3 +19,4 @@ mod split;
 mod strangers;
 mod tracks;
 mod transforms;
+mod wide;
