@@ -41,6 +41,11 @@ pub fn tracks(form: Form, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
     Ok(colmap::parse_tracks(form, NAME.as_ref(), bytes)?.points().map(<[u32]>::to_vec).collect())
 }
 
+/// COLMAP's frames: the photos of each, by their ids.
+pub fn frames(form: Form, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
+    colmap::parse_frames(form, NAME.as_ref(), bytes)
+}
+
 /// A `transforms.json`.
 pub fn transforms(bytes: &[u8]) -> Result<Vec<Camera>, SceneError> {
     transforms::parse_cameras(NAME.as_ref(), bytes)

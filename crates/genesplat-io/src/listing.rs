@@ -87,6 +87,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) mask: Option<PathBuf>,
     /// The points that it sees, by their places, rising; none where that is not known or not asked for.
     pub(crate) seen: Vec<u32>,
+    /// When it was taken, where other lenses of a rig took photos, too: they are held out with it.
+    pub(crate) moment: Option<u32>,
 }
 
 /// What a scene may say that a photo is for.
@@ -117,8 +119,10 @@ impl Listing {
 
     /// Random points, for a scene that has none.
     pub(crate) fn draw_points(&mut self, seed: u64) {
-        let cameras = || self.photos.iter().map(|photo| photo.camera).collect::<Vec<_>>();
-        self.points = self.cube.unwrap_or_else(|| Cube::seen_by(&cameras())).points(seed);
+        let cameras: Vec<Camera> = self.photos.iter().map(|photo| photo.camera).collect();
+        let are_round = self.photos.iter().all(|photo| photo.lens.as_ref().is_some_and(Lens::is_round));
+        let seen = || if are_round { Cube::around(&cameras) } else { Cube::seen_by(&cameras) };
+        self.points = self.cube.unwrap_or_else(seen).points(seed);
         let count = self.points.len();
         self.notices.push(format!("the scene has no points, so training starts from {count} random ones"));
     }

@@ -57,9 +57,9 @@ pub struct Point {
 pub struct Scene {
     /// Name of the folder.
     pub name: String,
-    /// Views to train on, sorted by name.
+    /// Views to train on, sorted by the names of their photos.
     pub train: Vec<View>,
-    /// Views that training must never see, sorted by name.
+    /// Views that training must never see, sorted likewise.
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,

@@ -15,6 +15,7 @@ mod photos;
 mod ply;
 mod ply_kinds;
 mod real_scenes;
+mod rigs;
 mod split;
 mod strangers;
 mod tracks;
