@@ -16,8 +16,10 @@ use rayon::prelude::*;
 const LOOKED_AT: usize = 9;
 /// Most that the ends of a photo may differ beyond neighbouring columns, of 255, on average of their rows.
 const SEAM_MAX: f64 = 4.0;
-/// Most that the upper and the lower row may differ from their mean, on average.
-const POLE_MAX: f64 = 10.0;
+/// Most that pixels of one colour differ from their mean, on average.
+const PLAIN_MAX: f64 = 10.0;
+/// Photos are reduced to this before they are looked at: noise is no difference.
+const SMALL_PX: u32 = 256;
 
 /// Whether the photos `names` in `images` show all around. Fails where some do and others do not.
 pub(crate) fn show_all_around(images: &Path, names: &[String]) -> Result<bool> {
@@ -42,40 +44,42 @@ fn is_round(photo: &Path) -> Result<bool> {
 
 /// Whether the left and the right end of `photo` meet, and its upper and lower row are one point each.
 fn closes(photo: &Photo) -> bool {
-    // Noise is none of these differences.
-    const COLUMNS: u32 = 256;
-    let rows = photo.height;
-    let row = |row: u32| {
-        let values = &photo.rgb[(3 * row * photo.width) as usize..][..3 * photo.width as usize];
-        resize(&Photo { width: photo.width, height: 1, rgb: values.to_vec() }, COLUMNS.min(photo.width), 1)
-            .rgb
-    };
-    let is_point = |values: Vec<u8>| {
-        let of_channel = |channel| values.iter().skip(channel).step_by(3).map(|value| f64::from(*value));
-        let spread = |channel| {
-            let mean = mean(of_channel(channel));
-            mean_of_differences(of_channel(channel), std::iter::repeat(mean))
-        };
-        (0..3).all(|channel| spread(channel) <= POLE_MAX)
-    };
-    let small = resize(photo, COLUMNS.min(photo.width), COLUMNS.min(rows));
-    let column = |column: u32| {
-        let small = &small;
-        (0..small.height).flat_map(move |row| small.pixel(column, row).map(f64::from))
-    };
-    let last = small.width - 1;
-    let between = mean((0..last).map(|at| mean_of_differences(column(at), column(at + 1))));
-    let seam = mean_of_differences(column(0), column(last));
-    seam <= 2.0 * between + SEAM_MAX && is_point(row(0)) && is_point(row(rows - 1))
+    let small = resize(photo, SMALL_PX.min(photo.width), SMALL_PX.min(photo.height));
+    let columns: Vec<Vec<u8>> = (0..small.width).map(|at| column(&small, at)).collect();
+    let (Some(first), Some(last)) = (columns.first(), columns.last()) else { return false };
+    let between = mean(columns.windows(2).map(|pair| difference(&pair[0], &pair[1])));
+    let meet = difference(first, last) <= 2.0 * between + SEAM_MAX;
+    // What stands before a plain background has plain rims, too.
+    meet && !is_plain(first) && [0, photo.height - 1].iter().all(|at| is_plain(&row(photo, *at)))
+}
+
+fn column(photo: &Photo, at: u32) -> Vec<u8> {
+    (0..photo.height).flat_map(|row| photo.pixel(at, row)).collect()
+}
+
+/// Without its noise.
+fn row(photo: &Photo, at: u32) -> Vec<u8> {
+    let (width, length) = (photo.width, 3 * photo.width as usize);
+    let rgb = photo.rgb[length * at as usize..][..length].to_vec();
+    resize(&Photo { width, height: 1, rgb }, SMALL_PX.min(width), 1).rgb
+}
+
+/// Whether pixels have one colour, or nearly so.
+fn is_plain(rgb: &[u8]) -> bool {
+    (0..3).all(|channel| {
+        let values = || rgb.iter().skip(channel).step_by(3).map(|value| f64::from(*value));
+        let mean_value = mean(values());
+        mean(values().map(|value| (value - mean_value).abs())) <= PLAIN_MAX
+    })
+}
+
+fn difference(a: &[u8], b: &[u8]) -> f64 {
+    mean(a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))))
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (count, sum) = values.fold((0u32, 0.0), |(count, sum), value| (count + 1, sum + value));
     sum / f64::from(count.max(1))
-}
-
-fn mean_of_differences(a: impl Iterator<Item = f64>, b: impl Iterator<Item = f64>) -> f64 {
-    mean(a.zip(b).map(|(a, b)| (a - b).abs()))
 }
 
 #[cfg(test)]
@@ -105,6 +109,18 @@ mod tests {
         for (turn, rise) in [(0.5, 1.0), (0.93, 1.0), (1.0, 0.5), (0.3, 0.3)] {
             assert!(!closes(&photo(turn, rise)), "{turn} of a turn, {rise} of the way from below to above");
         }
+    }
+
+    #[test]
+    fn what_stands_before_a_plain_background_does_not() {
+        let mut plain = photo(1.0, 1.0);
+        let (width, rows) = (plain.width as usize, plain.height as usize);
+        for (at, rgb) in plain.rgb.chunks_exact_mut(3).enumerate() {
+            let is_inner =
+                (20..width - 20).contains(&(at % width)) && (20..rows - 20).contains(&(at / width));
+            rgb.iter_mut().filter(|_| !is_inner).for_each(|value| *value = 240);
+        }
+        assert!(!closes(&plain));
     }
 
     #[test]

@@ -13,8 +13,9 @@ use crate::support::{command, fail, json, judge_failure, number, python_with, su
 
 /// Photos of 53 pixels a radian.
 const PINHOLE: GalleryOptions = GalleryOptions { width: 64, height: 48, views: 24, points: 1500, seed: 5 };
-/// So many rows have as many pixels a radian.
-const ROWS: u32 = 167;
+/// So many rows have twice as many pixels a radian, and views of so many pixels as many.
+const ROWS: u32 = 334;
+const SIDE: &str = "107";
 
 /// The gallery as cameras of all around take it from the same places, as COLMAP lists it.
 fn write_round(folder: &Path, gallery: &Gallery, options: &GalleryOptions, rows: u32) {
@@ -56,7 +57,7 @@ fn a_gallery_of_all_around_trains_to_within_a_decibel_of_its_pinhole_photos() {
     gallery.write_colmap(&pinhole).unwrap();
     write_round(&round, &gallery, &PINHOLE, ROWS);
     succeed(train(&pinhole, &plain, &["--iterations", "200"]));
-    succeed(train(&round, &around, &["--iterations", "1200"]));
+    succeed(train(&round, &around, &["--iterations", "1200", "--max-side", SIDE]));
     let scores = folder.path().join("scores.json");
     succeed([
         "evaluate",
