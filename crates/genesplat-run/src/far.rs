@@ -176,7 +176,8 @@ mod tests {
     const SIDE: u32 = 48;
     const SKY: [u8; 3] = [90, 140, 220];
 
-    /// Six cameras in a row that look at a wall, whose points fill the lower half of their photos; above is `sky`.
+    /// Six cameras in a row that look at a wall, whose points fill the lower half of their photos; above is
+    /// `sky`.
     fn outdoors(sky: [u8; 3]) -> Scene {
         let mut scene = small_scene::gallery().into_scene(HoldOut::None);
         let view = |index: u32| {

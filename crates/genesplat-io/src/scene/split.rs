@@ -19,9 +19,9 @@ const USUAL_INTERVAL: usize = 8;
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HoldOut {
-    /// Sorted by name, every eighth, from the first on: the field's convention; of photos that a rig of lenses
-    /// took at one moment, all or none. A scene that names its own
-    /// test photos (Blender, nerfstudio file lists) keeps those instead.
+    /// Sorted by name, every eighth, from the first on: the field's convention; of photos that a rig of
+    /// lenses took at one moment, all or none. A scene that names its own test photos (Blender, nerfstudio
+    /// file lists) keeps those instead.
     #[default]
     EveryEighth,
     /// The same with another interval, at least 2, whatever the scene itself names.

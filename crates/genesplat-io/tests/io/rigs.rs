@@ -8,7 +8,8 @@ use genesplat_io::{HoldOut, LoadOptions, load_scene};
 
 use crate::common::{tiny_model, write_scene};
 
-/// Nine moments of two lenses each, the second of which took the photos from the tenth on; and a sensor that takes none.
+/// Nine moments of two lenses each, the second of which took the photos from the tenth on; and a sensor that
+/// takes none.
 fn frames(form: Form) -> Vec<u8> {
     let frame = |moment: u32| {
         let entries = [(0, 1, moment), (0, 2, moment + 9), (1, 3, moment)];

@@ -1,6 +1,6 @@
 //! Photos of all around and wide fisheyes: what is cut out of them is what pinholes see of a painted sphere.
 //!
-//! The photos are taken here by formulas of their own: nerfstudio's and COLMAP's of a sphere, and OpenCV's of a fisheye.
+//! The photos are taken here by formulas of their own: nerfstudio's of a sphere, and OpenCV's of a fisheye.
 
 use std::f64::consts::{PI, TAU};
 use std::fs;
@@ -43,8 +43,8 @@ fn taken([width, height]: [u32; 2], pose: &Camera, direction: impl Fn([f64; 2]) 
     Photo { width, height, rgb: (0..width * height).flat_map(value).collect() }
 }
 
-/// nerfstudio: theta = -pi x and phi = pi (0.5 - y) in axes with y up and z backwards, where x is in (-1, 1) from left to
-/// right and y in (-0.5, 0.5) from below.
+/// nerfstudio: theta = -pi x and phi = pi (0.5 - y) in axes with y up and z backwards, where x is in (-1, 1)
+/// from left to right and y in (-0.5, 0.5) from below.
 fn around([u, v]: [f64; 2]) -> Option<DVec3> {
     let [width, height] = SIZE.map(f64::from);
     let (theta, phi) = (-PI * (2.0 * u / width - 1.0), PI * v / height);
@@ -68,7 +68,10 @@ fn matrix(camera: &Camera) -> Value {
 }
 
 fn description(photos: usize) -> Value {
-    let frame = |index: usize| json!({"file_path": format!("images/{index}.png"), "transform_matrix": matrix(&pose(index))});
+    let frame = |index: usize| {
+        let file = format!("images/{index}.png");
+        json!({"file_path": file, "transform_matrix": matrix(&pose(index))})
+    };
     json!({"camera_model": "EQUIRECTANGULAR", "w": SIZE[0], "h": SIZE[1],
         "frames": (0..photos).map(frame).collect::<Vec<_>>()})
 }

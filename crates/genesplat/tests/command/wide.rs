@@ -46,8 +46,8 @@ fn test_psnr(out: &Path) -> f64 {
     number(&json(&out.join("metrics.json"))["test"]["psnr"])
 }
 
-/// Both splats are judged by the same photos, those that the pinhole's training never saw, after as many looks at each view:
-/// five of six faces show walls.
+/// Both splats are judged by the same photos, those that the pinhole's training never saw, after as many
+/// looks at each view: five of six faces show walls.
 #[test]
 fn a_gallery_of_all_around_trains_to_within_a_decibel_of_its_pinhole_photos() {
     let folder = tempfile::tempdir().unwrap();
