@@ -23,13 +23,15 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 29] = [
+pub(crate) const ALL: [(&str, Target); 31] = [
     ("archive", archive),
     ("archive-names", |bytes| archive(&wrap::empty_entries(bytes.split(|byte| *byte == b'\n')))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
     ("cameras-txt", |bytes| drop(said(bytes::cameras(Form::Text, bytes)))),
     ("images-bin", |bytes| drop(said(bytes::images(Form::Binary, bytes)))),
     ("images-txt", |bytes| drop(said(bytes::images(Form::Text, bytes)))),
+    ("frames-bin", |bytes| drop(said(bytes::frames(Form::Binary, bytes)))),
+    ("frames-txt", |bytes| drop(said(bytes::frames(Form::Text, bytes)))),
     ("points-bin", |bytes| points(Form::Binary, bytes)),
     ("points-txt", |bytes| points(Form::Text, bytes)),
     ("lenses", lenses),

@@ -15,6 +15,7 @@ mod room;
 mod texture;
 mod world;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,6 +24,7 @@ use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::own;
 use genesplat_io::photos::{PhotoError, write_own_png};
 use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene, SceneDigests};
+use render::{RayCaster, rays_around, rays_of};
 
 /// How the gallery is photographed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,14 +65,11 @@ pub struct Gallery {
 pub fn generate(options: &GalleryOptions) -> Gallery {
     let GalleryOptions { width, height, views, points, seed } = *options;
     assert!(width.min(height) >= SIDE_MIN_PX && views >= 2, "a gallery needs photos: {options:?}");
-    let pattern_seed = (seed ^ (seed >> 32)) as u32;
-    let (world, lamps) = room::build(pattern_seed);
-    let lighting = light::Lighting::bake(&world, &lamps, pattern_seed);
-    let caster = render::RayCaster { world, lighting, seed: pattern_seed };
+    let caster = build(seed);
     let views: Vec<View> = (cameras::path(views, width, height).into_iter().enumerate())
         .map(|(index, camera)| View {
             name: view_name(index, views),
-            photo: caster.photograph(&camera).into(),
+            photo: caster.photograph([width, height], &rays_of(&camera)).into(),
             camera,
             mask: None,
         })
@@ -82,6 +81,24 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
         views.into_iter().for_each(|view| seen[view].push(point));
     }
     Gallery { views, points, seen }
+}
+
+/// What the cameras of this gallery would take of all around: columns are longitudes and rows latitudes, what
+/// is ahead lies in the middle, and a photo is `2 height` x `height` px.
+pub fn all_around(options: &GalleryOptions, height: u32) -> Vec<Photo> {
+    let caster = build(options.seed);
+    let cameras = cameras::path(options.views, options.width, options.height);
+    cameras
+        .iter()
+        .map(|camera| caster.photograph([2 * height, height], &rays_around(camera, height)))
+        .collect()
+}
+
+fn build(seed: u64) -> RayCaster {
+    let seed = (seed ^ (seed >> 32)) as u32;
+    let (world, lamps) = room::build(seed);
+    let lighting = light::Lighting::bake(&world, &lamps, seed);
+    RayCaster { world, lighting, seed }
 }
 
 /// Of as many digits as the last one has, so that names sort as numbers do.
@@ -112,6 +129,7 @@ impl Gallery {
             test,
             points: self.points,
             seen,
+            whole: BTreeMap::new(),
             photos,
             digests,
             notices,

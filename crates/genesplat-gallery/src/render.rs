@@ -1,7 +1,9 @@
 //! Casts the rays of a camera into the room: photos.
 
+use std::f64::consts::{FRAC_PI_2, PI};
+
 use genesplat_core::{Camera, Photo};
-use glam::{DVec2, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::geometry::Ray;
@@ -31,16 +33,20 @@ pub(crate) struct RayCaster {
 }
 
 impl RayCaster {
-    /// The photo that `camera` takes; rows are computed in parallel.
-    pub(crate) fn photograph(&self, camera: &Camera) -> Photo {
-        let (width, rays) = (camera.width as usize, rays_of(camera));
-        let mut rgb = vec![0; 3 * width * camera.height as usize];
-        rgb.par_chunks_mut(3 * width).enumerate().for_each(|(row, values)| {
+    /// The photo of `size` px that is taken along these rays; rows are computed in parallel.
+    pub(crate) fn photograph(
+        &self,
+        [width, height]: [u32; 2],
+        rays: &(impl Fn([f64; 2]) -> Ray + Sync),
+    ) -> Photo {
+        let columns = width as usize;
+        let mut rgb = vec![0; 3 * columns * height as usize];
+        rgb.par_chunks_mut(3 * columns).enumerate().for_each(|(row, values)| {
             for (column, value) in values.chunks_exact_mut(3).enumerate() {
-                value.copy_from_slice(&tone_map(self.pixel(&rays, [column as f64, row as f64])));
+                value.copy_from_slice(&tone_map(self.pixel(rays, [column as f64, row as f64])));
             }
         });
-        Photo { width: camera.width, height: camera.height, rgb }
+        Photo { width, height, rgb }
     }
 
     /// Mean radiance of a pixel.
@@ -90,6 +96,20 @@ pub(crate) fn rays_of(camera: &Camera) -> impl Fn([f64; 2]) -> Ray + Sync {
         let in_plane = (DVec2::from(at) + 0.5 - principal_px) / focal_px;
         let in_world = world_from_camera * in_plane.extend(1.0).normalize();
         Ray::new(centre, in_world.as_vec3())
+    }
+}
+
+/// The rays from where `camera` stands through the pixels of a photo of all around, of so many rows.
+pub(crate) fn rays_around(camera: &Camera, height: u32) -> impl Fn([f64; 2]) -> Ray + Sync {
+    let (centre, world_from_camera) = (camera.centre_in_world().as_vec3(), camera.rotation().transpose());
+    let radian_px = f64::from(height) / PI;
+    move |at| {
+        let [longitude, latitude] = at.map(|at| (at + 0.5) / radian_px);
+        // The left rim lies behind, and the upper one above.
+        let ((sin_longitude, cos_longitude), (sin, cos)) =
+            ((longitude - PI).sin_cos(), (latitude - FRAC_PI_2).sin_cos());
+        let in_camera = DVec3::new(cos * sin_longitude, sin, cos * cos_longitude);
+        Ray::new(centre, (world_from_camera * in_camera).as_vec3())
     }
 }
 

@@ -10,7 +10,7 @@ use crate::archive::{self, ArchiveError};
 use crate::colmap::{self, Form, ImageRecord, Intrinsics};
 use crate::format::{self, Format, FormatError, Loaded, Options};
 use crate::offset::{self, Offset};
-use crate::photos::{self, EncodedPhoto, PhotoError};
+use crate::photos::{self, Cut, EncodedPhoto, PhotoError};
 use crate::ply;
 use crate::scene::Point;
 use crate::{SceneError, transforms};
@@ -39,6 +39,11 @@ pub fn points(form: Form, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
 /// COLMAP's tracks: the photos that see each point, by their ids.
 pub fn tracks(form: Form, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
     Ok(colmap::parse_tracks(form, NAME.as_ref(), bytes)?.points().map(<[u32]>::to_vec).collect())
+}
+
+/// COLMAP's frames: the photos of each, by their ids.
+pub fn frames(form: Form, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
+    colmap::parse_frames(form, NAME.as_ref(), bytes)
 }
 
 /// A `transforms.json`.
@@ -86,14 +91,19 @@ pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError>
     is_small.then(|| photo.decode_on_black()).transpose()
 }
 
-/// A grey photo of `camera`, as a pinhole takes it; `None` where the lens cannot be undone, or the photo is
+/// A grey photo of `camera`, as a pinhole takes it, or the last of several; `None` where the lens cannot be undone, or the photo is
 /// larger than `side_max`.
 pub fn undistorted(camera: &Intrinsics, side_max: u32) -> Option<Photo> {
     let Intrinsics { width, height, focal_px, principal_px, lens } = *camera;
     let lens = lens.filter(|_| width.max(height) <= side_max)?;
     let camera = Camera { focal_px, principal_px, ..Camera::at_origin(width, height, focal_px[0]) };
-    let pinhole = photos::pinhole(&camera, &lens)?;
     let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
+    if let Some(cut) = Cut::of(&camera, &lens) {
+        let side = cut.side().min(side_max);
+        let parts: Vec<_> = cut.views(side, 1).into_iter().map(|(part, _)| part).collect();
+        return cut.photos(&photo, &parts, side).last();
+    }
+    let pinhole = photos::pinhole(&camera, &lens)?;
     let size = [pinhole.width.min(width), pinhole.height.min(height)];
     Some(photos::undistort(&photo, &camera, &lens, &pinhole, size))
 }

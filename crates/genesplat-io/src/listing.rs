@@ -12,10 +12,11 @@ use genesplat_core::constants::NEAR_DEPTH;
 use glam::DVec3;
 
 use crate::alike::difference;
+use crate::colmap::ROUND;
 use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::offset::Offset;
-use crate::photos::{Lens, PhotoError};
+use crate::photos::{Cut, Lens, PhotoError, part_names};
 use crate::scene::{Cube, Doubt, Point, mask_beside};
 use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending};
 use crate::{names, plural, shown};
@@ -86,6 +87,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) mask: Option<PathBuf>,
     /// The points that it sees, by their places, rising; none where that is not known or not asked for.
     pub(crate) seen: Vec<u32>,
+    /// When it was taken, where other lenses of a rig took photos, too: they are held out with it.
+    pub(crate) moment: Option<u32>,
 }
 
 /// What a scene may say that a photo is for.
@@ -116,8 +119,10 @@ impl Listing {
 
     /// Random points, for a scene that has none.
     pub(crate) fn draw_points(&mut self, seed: u64) {
-        let cameras = || self.photos.iter().map(|photo| photo.camera).collect::<Vec<_>>();
-        self.points = self.cube.unwrap_or_else(|| Cube::seen_by(&cameras())).points(seed);
+        let cameras: Vec<Camera> = self.photos.iter().map(|photo| photo.camera).collect();
+        let are_round = self.photos.iter().all(|photo| photo.lens.as_ref().is_some_and(Lens::is_round));
+        let seen = || if are_round { Cube::around(&cameras) } else { Cube::seen_by(&cameras) };
+        self.points = self.cube.unwrap_or_else(seen).points(seed);
         let count = self.points.len();
         self.notices.push(format!("the scene has no points, so training starts from {count} random ones"));
     }
@@ -147,7 +152,39 @@ impl Listing {
         let paths: Vec<&str> = self.photos.iter().map(|photo| photo.name.as_str()).collect();
         let names = view_names(&paths, &list)?;
         self.photos.iter_mut().zip(names).for_each(|(photo, name)| photo.name = name);
+        self.check_parts(&list)
+    }
+
+    /// Fails where a photo is called as a part of another one would be.
+    fn check_parts(&self, list: &Path) -> Result<(), SceneError> {
+        let names: HashSet<&str> = self.photos.iter().map(|photo| &*photo.name).collect();
+        for photo in self.photos.iter().filter(|photo| photo.cut().is_some()) {
+            let mut parts = part_names().map(|part| part_name(&photo.name, part));
+            if let Some(part) = parts.find(|part| names.contains(&**part)) {
+                let problem = format!(
+                    "lists {}, which is cut into parts, and {}, which one of them would be called; rename it",
+                    shown(&photo.name),
+                    shown(&part)
+                );
+                return Err(SceneError::invalid(list, problem));
+            }
+        }
         Ok(())
+    }
+}
+
+impl ListedPhoto {
+    /// What cuts it into pinhole views, where one does not show all of it.
+    pub(crate) fn cut(&self) -> Option<Cut> {
+        Cut::of(&self.camera, self.lens.as_ref()?)
+    }
+}
+
+/// The name of the view that is this part of a photo: `1.jpg` has `1.front.jpg`.
+pub(crate) fn part_name(photo: &str, part: &str) -> String {
+    match photo.rsplit_once('.') {
+        Some((stem, ending)) => format!("{stem}.{part}.{ending}"),
+        None => format!("{photo}.{part}"),
     }
 }
 
@@ -225,6 +262,18 @@ pub(crate) fn intrinsics_problem(
     } else {
         None
     }
+}
+
+/// An error where photos of this size cannot show all around: a whole sphere is twice as wide as high.
+pub(crate) fn check_round(file: &Path, camera: &str, [width, height]: [f64; 2]) -> Result<(), SceneError> {
+    if (0.5 * width - height).abs() <= (0.005 * height).max(1.0) {
+        return Ok(());
+    }
+    let problem = format!(
+        "camera {} is {ROUND}, and its photos of {width}x{height} pixels are not twice as wide as high; export them whole",
+        shown(camera)
+    );
+    Err(SceneError::bad_record(file, problem))
 }
 
 /// What makes the coefficients of a lens impossible, if anything does.

@@ -31,6 +31,7 @@ mod digest;
 pub mod edited;
 pub mod exposure;
 mod failure;
+mod far;
 pub mod files;
 pub mod follow;
 pub mod inputs;

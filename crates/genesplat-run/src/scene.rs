@@ -10,6 +10,7 @@ use genesplat_io::{Doubt, LoadOptions, Offset, PHOTO_ENDINGS, Point, Scene, Spil
 use genesplat_train::scene::initialise::ColouredPoint;
 
 use crate::exposure::Corrections;
+use crate::far;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
@@ -34,7 +35,16 @@ pub fn load(
 ) -> Result<Scene> {
     let with_tracks = dataset.corrections != Corrections::Off;
     let options = LoadOptions { seed, spill, offset, with_tracks, ..dataset.options() };
-    told(read(&dataset.path, background, options))
+    let mut scene = told(read(&dataset.path, background, options))?;
+    let far = far::points(&scene, in_8_bit(background))?;
+    if !far.is_empty() {
+        let count = far.len();
+        output::tell(&format!(
+            "{count} points are added far away, where photos show sky or what is beyond all others"
+        ));
+    }
+    scene.points.extend(far);
+    Ok(scene)
 }
 
 /// The same to inspect: notices are the caller's to tell.
@@ -68,7 +78,8 @@ pub(crate) fn load_sample(
 
 /// Why to train on a scene makes no sense.
 pub fn doubts(scene: &Scene) -> Vec<Doubt> {
-    let photos = scene.train.len() + scene.test.len();
+    let views = scene.train.iter().chain(&scene.test);
+    let photos = views.map(|view| scene.photo_of(&view.name)).collect::<HashSet<_>>().len();
     let few = (photos < PHOTOS_MIN).then(|| Doubt {
         problem: format!(
             "the scene has {photos} {} with cameras, and from fewer than {PHOTOS_MIN} no splat learns how it looks from elsewhere",
@@ -97,8 +108,12 @@ pub(crate) fn is_promising(scene: &Scene) -> bool {
 
 fn read(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
     let _preparing = preparing::begin();
-    let background = background.map(|value| (255.0 * value).round() as u8);
+    let background = in_8_bit(background);
     Ok(load_scene(path, &LoadOptions { background, ..options }, &LoadBar::default())?)
+}
+
+fn in_8_bit(colour: [f32; 3]) -> [u8; 3] {
+    colour.map(|value| (255.0 * value).round() as u8)
 }
 
 fn told(scene: Result<Scene>) -> Result<Scene> {

@@ -160,7 +160,7 @@ impl Splat {
     /// The name of the view in `data` that is called `name`.
     pub fn view_name(&self, name: &str, data: &Path, asked: &PhotosAsked) -> Result<String> {
         let options = self.options(data, asked)?;
-        Ok(list_scene(data, &options)?.view_name(name, data)?.to_owned())
+        Ok(list_scene(data, &options)?.view_name(name, data)?)
     }
 
     /// What masks of those photos mean.

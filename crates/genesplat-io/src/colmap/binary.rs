@@ -11,14 +11,18 @@ use crate::error::SceneError;
 use crate::offset::Offset;
 use crate::scene::Point;
 
-/// Least bytes of a camera: id, model, width, height, three parameters.
-const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
+/// Least bytes of a camera: id, model, width, height, two parameters.
+const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 2 * 8;
 /// Least bytes of an image: id, pose, camera id, an empty name's NUL, count of features.
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
 /// One feature of an image: `f64 x, y`, `i64` point id.
 const FEATURE_BYTES: usize = 24;
 /// Least bytes of a point: id, position, colour, error, length of the track.
 const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
+/// Least bytes of a frame: id, rig, pose, count of photos.
+const FRAME_BYTES: usize = 4 + 4 + 7 * 8 + 4;
+/// The kind of sensor that takes photos.
+const CAMERA: i32 = 0;
 /// One entry of a track: `i32` image id and feature index.
 const TRACK_BYTES: usize = 8;
 
@@ -110,4 +114,26 @@ pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
         tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
     }
     cursor.end("points").map(|()| tracks)
+}
+
+/// The photos of each frame in `frames.bin`, by their ids.
+pub(super) fn frames(file: &Path, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("frames", FRAME_BYTES)?;
+    let frames = (0..count).map(|_| frame(&mut cursor)).collect::<Result<_, _>>()?;
+    cursor.end("frames").map(|()| frames)
+}
+
+fn frame(cursor: &mut Cursor) -> Result<Vec<u32>, SceneError> {
+    const RECORD: &str = "a frame";
+    cursor.skip(RECORD, 1, FRAME_BYTES - 4)?;
+    let count = cursor.i32(RECORD)? as u32;
+    let mut photos = Vec::new();
+    for _ in 0..count {
+        let kind = cursor.i32(RECORD)?;
+        cursor.i32(RECORD)?;
+        let id = u32::try_from(cursor.u64(RECORD)?).ok();
+        photos.extend(id.filter(|_| kind == CAMERA));
+    }
+    Ok(photos)
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
-use crate::listing::{bad_pose, intrinsics_problem, lost_poses, position_problem};
+use crate::listing::{bad_pose, check_round, intrinsics_problem, lost_poses, position_problem};
 use crate::offset::{Offset, less};
 use crate::photos::Lens;
 use crate::scene::Point;
@@ -56,6 +56,11 @@ pub(super) fn intrinsics(
 ) -> Judged {
     if let Some(problem) = intrinsics_problem(size.map(|side| side as f64), [fx, fy], [cx, cy]) {
         return Err(bad_camera(file, camera, problem));
+    }
+    if lens.as_ref().is_some_and(Lens::is_round) {
+        // The size that the model states, too.
+        check_round(file, &camera.to_string(), [2.0 * cx, 2.0 * cy])?;
+        check_round(file, &camera.to_string(), size.map(|side| side as f64))?;
     }
     let [width, height] = size.map(|side| side as u32);
     Ok(Intrinsics { width, height, focal_px: [fx, fy], principal_px: [cx, cy], lens })

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
+use super::frames::read_moments;
 use super::tracks::read_seen;
 use super::{
     Finite, ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_photos, read_points,
@@ -67,12 +68,13 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
         notices.extend(left_out.as_ref().and_then(|left_out| left_out.notice(&list)));
     }
     let doubts = Vec::from_iter(left_out.and_then(|left_out| left_out.doubt(&list)));
-    let mut seen = if wanted.tracks { seen(folder, &given.path)? } else { BTreeMap::new() };
+    let mut seen = if wanted.tracks { named(read_seen(folder)?, &given.path) } else { BTreeMap::new() };
+    let mut moments = named(read_moments(folder)?, &given.path);
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
-        let seen = seen.remove(&name).unwrap_or_default();
-        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None, seen })
+        let (seen, moment) = (seen.remove(&name).unwrap_or_default(), moments.remove(&name));
+        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None, seen, moment })
     };
     let mut photos = photos.into_iter().map(listed).collect::<Result<Vec<_>, SceneError>>()?;
     let moved = move_cameras(&mut photos, wanted.frame);
@@ -83,13 +85,13 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
     Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts, moved })
 }
 
-/// The points that each photo sees, by its name.
-fn seen(folder: &ModelFolder, image_folder: &Path) -> Result<BTreeMap<String, Vec<u32>>, SceneError> {
-    let named = |(mut name, points): (String, Vec<u32>)| {
+/// What is known of photos, by their names as they are here.
+fn named<T>(of_photos: BTreeMap<String, T>, image_folder: &Path) -> BTreeMap<String, T> {
+    let named = |(mut name, of_photo): (String, T)| {
         separate(&mut name, image_folder);
-        (name, points)
+        (name, of_photo)
     };
-    Ok(read_seen(folder)?.into_iter().map(named).collect())
+    of_photos.into_iter().map(named).collect()
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {

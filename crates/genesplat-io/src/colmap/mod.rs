@@ -10,6 +10,7 @@
 mod binary;
 mod check;
 mod cursor;
+mod frames;
 mod listing;
 mod models;
 mod text;
@@ -22,7 +23,9 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 pub(crate) use check::{Finite, Judged, points as finite_points};
+pub(crate) use frames::parse_frames;
 pub(crate) use listing::{PhotoFolder, list};
+pub(crate) use models::{ROUND, round};
 pub(crate) use tracks::parse_tracks;
 pub use write::write_model;
 

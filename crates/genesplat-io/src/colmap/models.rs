@@ -2,6 +2,7 @@
 //!
 //! Source: COLMAP's documentation of its camera models, and `sensor/models.h` for the order.
 
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use super::check::bad_camera;
@@ -9,8 +10,11 @@ use crate::error::SceneError;
 use crate::listing::coefficients_problem;
 use crate::photos::{Lens, Polynomial, Projection};
 
+/// That of photos of all around: it has a width and a height, px, and no focal length.
+pub(crate) const ROUND: &str = "EQUIRECTANGULAR";
+
 /// Names by id, and how many parameters each has.
-pub(super) const MODELS: [(&str, usize); 17] = [
+pub(super) const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
     ("SIMPLE_RADIAL", 4),
@@ -28,6 +32,7 @@ pub(super) const MODELS: [(&str, usize); 17] = [
     ("SIMPLE_FISHEYE", 3),
     ("FISHEYE", 4),
     ("EUCM", 6),
+    (ROUND, 2),
 ];
 
 /// `[fx, fy, cx, cy]` and the lens of a camera with these parameters.
@@ -57,14 +62,23 @@ pub(super) fn parameters(
 fn pinhole_and_rest<'a>(model: &str, parameters: &'a [f64]) -> ([f64; 4], &'a [f64]) {
     let has_one_focal = model.starts_with("SIMPLE_") || model.starts_with("RADIAL");
     match *parameters {
+        [width, height] => (round(width, height), &[]),
         [f, cx, cy, ref rest @ ..] if has_one_focal => ([f, f, cx, cy], rest),
         [fx, fy, cx, cy, ref rest @ ..] => ([fx, fy, cx, cy], rest),
-        _ => unreachable!("every model has at least three parameters, and four with two focal lengths"),
+        _ => {
+            unreachable!("every model but one has at least three parameters, and four with two focal lengths")
+        }
     }
+}
+
+/// `[fx, fy, cx, cy]` of photos of all around: pixels for a radian, and where what is ahead lies.
+pub(crate) fn round(width: f64, height: f64) -> [f64; 4] {
+    [width / TAU, height / PI, 0.5 * width, 0.5 * height]
 }
 
 fn projection(model: &str, coefficients: &[f64]) -> Projection {
     match (model, coefficients) {
+        (ROUND, _) => Projection::Equirectangular,
         ("FOV", &[omega]) => Projection::FieldOfView { omega },
         ("SIMPLE_DIVISION" | "DIVISION", &[k]) => Projection::Division { k },
         ("EUCM", &[alpha, beta]) => Projection::EnhancedUnified { alpha, beta },
@@ -109,6 +123,7 @@ pub(super) fn of_lens(lens: Option<&Lens>) -> Option<(&'static str, Vec<f64>)> {
     let Polynomial { radial: k, divisor: d, tangential: [p1, p2], prism: [[s0, s1], [s2, s3]], .. } =
         lens.polynomial;
     let (name, coefficients) = match lens.projection {
+        Projection::Equirectangular => (ROUND, Vec::new()),
         Projection::FieldOfView { omega } => ("FOV", vec![omega]),
         Projection::Division { k } => ("DIVISION", vec![k]),
         Projection::EnhancedUnified { alpha, beta } => ("EUCM", vec![alpha, beta]),
@@ -142,6 +157,10 @@ mod tests {
         for (model, count) in MODELS {
             let values: Vec<f64> = (0..count).map(|index| 100.0 / (index + 1) as f64).collect();
             let ([fx, fy, ..], lens) = read(model, &values).unwrap();
+            if model == ROUND {
+                assert_eq!((lens.map(|lens| lens.is_round()), fx), (Some(true), 100.0 / TAU));
+                continue;
+            }
             assert_eq!(fx == fy, model.starts_with("SIMPLE") || model.starts_with("RADIAL"), "{model}");
             assert_eq!(lens.is_none(), model.ends_with("PINHOLE"), "{model}");
             assert!(
@@ -159,7 +178,8 @@ mod tests {
             let values: Vec<f64> = (0..count).map(|index| 0.5 / (index + 1) as f64).collect();
             let (pinhole, lens) = read(model, &values).unwrap();
             let (name, coefficients) = of_lens(lens.as_ref()).unwrap_or_else(|| panic!("{model}"));
-            let again = read(name, &[&pinhole[..], &coefficients].concat()).unwrap();
+            let of_camera = if name == ROUND { &values[..] } else { &pinhole[..] };
+            let again = read(name, &[of_camera, &coefficients].concat()).unwrap();
             assert_eq!(again, (pinhole, lens), "{model} as {name}");
         }
         let polynomial = Polynomial { radial: [0.1, 0.1, 0.1, 0.1, 0.0, 0.0], ..Polynomial::default() };

@@ -15,6 +15,7 @@ const CAMERA: &str = "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS";
 const IMAGE: &str = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME";
 const FEATURES: &str = "the features of the photo above (X Y POINT3D_ID ..., or an empty line)";
 const POINT: &str = "POINT3D_ID X Y Z R G B ERROR TRACK";
+const FRAME: &str = "FRAME_ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA_IDS (SENSOR_TYPE SENSOR_ID DATA_ID) ...";
 const TRACK: &str = "the track of a point as IMAGE_ID POINT2D_IDX pairs, after its ERROR";
 
 /// A line with its 1-based number.
@@ -189,4 +190,22 @@ pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
         tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
     }
     Ok(tracks)
+}
+
+/// The photos of each frame in `frames.txt`, by their ids.
+pub(super) fn frames(file: &Path, bytes: &[u8]) -> Result<Vec<Vec<u32>>, SceneError> {
+    lines(file, bytes)?.filter(|line| !line.text.trim().is_empty()).map(frame).collect()
+}
+
+fn frame(line: Line) -> Result<Vec<u32>, SceneError> {
+    let mut fields = line.fields(FRAME);
+    fields.array::<u32, 2>()?;
+    fields.numbers::<7>()?;
+    let count: u32 = fields.next()?;
+    let mut photos = Vec::new();
+    for _ in 0..count {
+        let (kind, _, id) = (fields.word()?, fields.next::<u32>()?, fields.next::<u64>()?);
+        photos.extend(u32::try_from(id).ok().filter(|_| kind == "CAMERA"));
+    }
+    Ok(photos)
 }

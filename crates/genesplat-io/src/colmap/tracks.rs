@@ -75,7 +75,11 @@ pub(super) fn read_seen(folder: &ModelFolder) -> Result<BTreeMap<String, Vec<u32
 
 /// The names of the photos in the `bytes` of `file`, by their ids. Where two have one id, nobody knows which
 /// of them a track means, and neither is there.
-fn parse_photo_ids(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, String>, SceneError> {
+pub(super) fn parse_photo_ids(
+    form: Form,
+    file: &Path,
+    bytes: &[u8],
+) -> Result<BTreeMap<u32, String>, SceneError> {
     let photos = match form {
         Form::Binary => binary::photo_ids(file, bytes),
         Form::Text => text::photo_ids(file, &input::as_utf8(bytes)),

@@ -36,7 +36,10 @@ fn cameras(out: &mut impl Write, model: &Model) -> io::Result<()> {
         out.write_all(&models::id(name).to_le_bytes())?;
         out.write_all(&u64::from(camera.width).to_le_bytes())?;
         out.write_all(&u64::from(camera.height).to_le_bytes())?;
-        put_f64s(out, camera.focal_px.into_iter().chain(camera.principal_px).chain(coefficients))?;
+        match name {
+            models::ROUND => put_f64s(out, [camera.width, camera.height].map(f64::from))?,
+            _ => put_f64s(out, camera.focal_px.into_iter().chain(camera.principal_px).chain(coefficients))?,
+        }
     }
     Ok(())
 }

@@ -30,6 +30,8 @@ pub(crate) enum Projection {
     Division { k: f64 },
     /// `r / (α sqrt(β r² + 1) + 1 − α)`.
     EnhancedUnified { alpha: f64, beta: f64 },
+    /// No `r`, but longitude and latitude: all around.
+    Equirectangular,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -51,6 +53,11 @@ impl Lens {
         *self == Self::default()
     }
 
+    /// Whether photos show all around, and their left and right ends meet.
+    pub(crate) fn is_round(&self) -> bool {
+        self.projection == Projection::Equirectangular
+    }
+
     /// All that it is: which projection, and the coefficients.
     pub(crate) fn numbers(&self) -> Vec<f64> {
         let projection = match self.projection {
@@ -59,6 +66,7 @@ impl Lens {
             Projection::FieldOfView { omega } => [2.0, omega, 0.0],
             Projection::Division { k } => [3.0, k, 0.0],
             Projection::EnhancedUnified { alpha, beta } => [4.0, alpha, beta],
+            Projection::Equirectangular => [5.0, 0.0, 0.0],
         };
         let Polynomial { radial, divisor, tangential, prism, radial_first } = self.polynomial;
         let order = [f64::from(u8::from(radial_first))];
@@ -68,7 +76,15 @@ impl Lens {
     /// Where the lens shows the point `(x, y)` of the pinhole's image plane; not finite where it shows it
     /// nowhere.
     pub(crate) fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let factor = self.projection.factor((x * x + y * y).sqrt());
+        self.show([x, y, 1.0])
+    }
+
+    /// The same of what lies in this direction of the camera's frame, which may be behind it.
+    pub(crate) fn show(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
+        if self.projection == Projection::Equirectangular {
+            return [x.atan2(z), y.atan2(x.hypot(z))];
+        }
+        let factor = self.projection.factor((x * x + y * y).sqrt(), z);
         self.polynomial.bend([factor * x, factor * y])
     }
 
@@ -93,19 +109,18 @@ impl Lens {
 }
 
 impl Projection {
-    /// The lens's distance from the axis, divided by the pinhole's, `r`.
-    fn factor(self, r: f64) -> f64 {
+    /// The lens's distance from the axis, divided by that of a point at depth `z`, `r`.
+    fn factor(self, r: f64, z: f64) -> f64 {
         match self {
-            Self::Perspective => 1.0,
-            Self::Fisheye => over(r.atan(), r),
-            Self::FieldOfView { omega: 0.0 } => 1.0,
+            Self::Perspective | Self::FieldOfView { omega: 0.0 } | Self::Equirectangular => ahead(z),
+            Self::Fisheye => angle_over(r, z),
             Self::FieldOfView { omega } => {
                 let steepness = 2.0 * (0.5 * omega).tan();
-                over((r * steepness).atan(), r * steepness) * steepness / omega
+                angle_over(r * steepness, z) * steepness / omega
             }
-            Self::Division { k } => 2.0 / (1.0 + (1.0 - 4.0 * k * r * r).sqrt()),
+            Self::Division { k } => 2.0 / (z + (z * z - 4.0 * k * r * r).sqrt()),
             Self::EnhancedUnified { alpha, beta } => {
-                1.0 / (alpha * (beta * r * r + 1.0).sqrt() + 1.0 - alpha)
+                1.0 / (alpha * (beta * r * r + z * z).sqrt() + (1.0 - alpha) * z)
             }
         }
     }
@@ -123,10 +138,20 @@ impl Projection {
                 let root = (1.0 - (2.0 * alpha - 1.0) * beta * r * r).sqrt();
                 (alpha * root + 1.0 - alpha) / (1.0 - alpha * alpha * beta * r * r)
             }
-            Self::Fisheye | Self::FieldOfView { .. } => return None,
+            Self::Fisheye | Self::FieldOfView { .. } | Self::Equirectangular => return None,
         };
         (factor.is_finite() && factor > 0.0).then_some(factor)
     }
+}
+
+/// What a pinhole shows: nothing behind it.
+fn ahead(z: f64) -> f64 {
+    if z > 0.0 { 1.0 / z } else { f64::NAN }
+}
+
+/// The angle between the axis and a point at the distance `r` from it and depth `z`, divided by `r`.
+fn angle_over(r: f64, z: f64) -> f64 {
+    if r < 1e-12 { ahead(z) } else { r.atan2(z) / r }
 }
 
 /// `value / of` for two that vanish together, with a ratio of 1.

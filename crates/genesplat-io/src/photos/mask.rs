@@ -3,12 +3,13 @@
 //! A pixel of a reduced or undistorted photo is mixed from many. It counts only where all that it is mixed
 //! from does, so what a mask hides reaches no pixel that counts; the mask grows by up to two pixels for that.
 
+use std::ops::Range;
 use std::path::Path;
 
 use genesplat_core::{Mask, Photo};
 use image::DynamicImage;
 
-use super::resize::reaches;
+use super::resize::{reach_beyond, reaches, wrapped};
 use super::{EncodedPhoto, PhotoError};
 
 /// Which pixels of a photo count.
@@ -65,16 +66,34 @@ impl PhotoMask {
 
     /// That of the photo that [`super::resize()`] makes.
     pub(crate) fn resized(&self, size: [u32; 2]) -> Self {
-        let [columns, rows] = [0, 1].map(|axis| reaches(self.size[axis] as usize, size[axis] as usize));
+        let [columns, rows] = [0, 1].map(|axis| reaches(self.size[axis] as usize, size[axis] as usize, 0));
+        self.mixed(&columns, &rows)
+    }
+
+    /// The same of a photo whose left and right ends meet, with so many columns of the other end at either
+    /// end.
+    pub(super) fn resized_round(&self, size: [u32; 2], beyond: u32) -> Self {
+        let [width, height] = self.size.map(|side| side as usize);
+        let pad = reach_beyond(self.size[0], size[0]);
+        let counts = wrapped(&self.counts, width, pad);
+        let round = Self { size: [(width + 2 * pad) as u32, self.size[1]], counts };
+        let (columns, rows) = (reaches(width, size[0] as usize, pad), reaches(height, size[1] as usize, 0));
+        let reduced = round.mixed(&columns, &rows);
+        let counts = wrapped(&reduced.counts, size[0] as usize, beyond as usize);
+        Self { size: [size[0] + 2 * beyond, size[1]], counts }
+    }
+
+    /// Where what is mixed from these columns and rows counts.
+    fn mixed(&self, columns: &[Range<usize>], rows: &[Range<usize>]) -> Self {
         let row_of = |row: &[bool]| {
             columns.iter().map(|reach| row[reach.clone()].iter().all(|counts| *counts)).collect()
         };
         let narrowed: Vec<Vec<bool>> = self.counts.chunks_exact(self.size[0] as usize).map(row_of).collect();
         let counts = rows.iter().flat_map(|reach| {
             let narrowed = &narrowed;
-            (0..size[0] as usize).map(move |column| narrowed[reach.clone()].iter().all(|row| row[column]))
+            (0..columns.len()).map(move |column| narrowed[reach.clone()].iter().all(|row| row[column]))
         });
-        Self { size, counts: counts.collect() }
+        Self { size: [columns.len() as u32, rows.len() as u32], counts: counts.collect() }
     }
 }
 

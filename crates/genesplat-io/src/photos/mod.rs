@@ -5,6 +5,7 @@
 //! 8-bit values between them), and transparency composited on a background *before* the resize, truncated to
 //! 8 bit.
 
+mod cut;
 mod decode;
 mod exif;
 mod file;
@@ -22,6 +23,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
 
+pub(crate) use cut::{Cut, Part, part_names};
 pub use exif::{LensTags, lens_tags};
 pub(crate) use file::PhotoFile;
 pub use lens::Lens;

@@ -195,13 +195,13 @@ fn through_four(t: f64) -> [f64; 4] {
 }
 
 /// Without a call of the library's.
-fn floor(value: f64) -> i64 {
+pub(super) fn floor(value: f64) -> i64 {
     let whole = value as i64;
     whole - i64::from(value < whole as f64)
 }
 
 /// The four pixels along one axis that are mixed around the two from `first` on; beyond the rim, the rim.
-fn taps(first: i64, side: u32) -> [usize; 4] {
+pub(super) fn taps(first: i64, side: u32) -> [usize; 4] {
     [-1, 0, 1, 2].map(|offset| (first.saturating_add(offset)).clamp(0, i64::from(side) - 1) as usize)
 }
 
@@ -216,7 +216,7 @@ fn resample(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera) -> Ph
 }
 
 /// The photo between its pixels, by Keys' cubic; beyond its rim, the rim.
-fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
+pub(super) fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
     let (left, top) = (floor(u), floor(v));
     let (across, down) = (cubic_weights((u - left as f64) as f32), cubic_weights((v - top as f64) as f32));
     let [columns, rows] = [taps(left, photo.width), taps(top, photo.height)];

@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use genesplat_core::Camera;
 
-use super::{LoadOptions, Point, list, split};
+use super::{LoadOptions, Point, SIDE_MIN_PX, list, split};
 use crate::colmap::{ImageRecord, Intrinsics, Model};
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing};
+use crate::listing::{ListedPhoto, Listing, part_name};
 use crate::offset::Offset;
-use crate::photos::Lens;
+use crate::photos::{Cut, Lens};
+use crate::shown;
 
 /// Where photos are and what took them, and the points of their reconstruction.
 #[derive(Clone, Debug)]
@@ -27,8 +28,18 @@ pub struct SceneList {
 impl SceneList {
     /// The name of the view that is called `asked`: by its name or by the end of its path, with or without
     /// its ending. Fails where none or several of `scene` are.
-    pub fn view_name(&self, asked: &str, scene: &Path) -> Result<&str, SceneError> {
-        split::view_name(asked, self.photos.iter().map(|photo| (&*photo.name, &*photo.path)), scene)
+    pub fn view_name(&self, asked: &str, scene: &Path) -> Result<String, SceneError> {
+        let views: Vec<(String, PathBuf)> = self.photos.iter().flat_map(ScenePhoto::views).collect();
+        let cut = self.photos.iter().filter(|photo| photo.is_cut());
+        if let Ok(photo) = split::view_name(asked, cut.map(|photo| (&*photo.name, &*photo.path)), scene) {
+            let problem = format!(
+                "has the photo {}, which is cut into views; name one of them, as {}",
+                shown(photo),
+                shown(part_name(photo, "front"))
+            );
+            return Err(SceneError::invalid(scene, problem));
+        }
+        split::view_name(asked, views.iter().map(|(name, path)| (&**name, &**path)), scene).map(str::to_owned)
     }
 }
 
@@ -50,6 +61,30 @@ pub struct ScenePhoto {
 }
 
 impl ScenePhoto {
+    fn cut(&self) -> Option<Cut> {
+        Cut::of(&self.camera, self.lens.as_ref()?)
+    }
+
+    /// Whether it shows more than a pinhole can, and is cut into views.
+    pub fn is_cut(&self) -> bool {
+        self.cut().is_some()
+    }
+
+    /// The names of its views, and what files of these names would be called.
+    fn views(&self) -> Vec<(String, PathBuf)> {
+        let Some(cut) = self.cut() else { return vec![(self.name.clone(), self.path.clone())] };
+        let file = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let view =
+            |part: &str| (part_name(&self.name, part), self.path.with_file_name(part_name(&file, part)));
+        cut.views(cut.side(), SIDE_MIN_PX).iter().map(|(part, _)| view(part.name)).collect()
+    }
+
+    /// The pinholes that show it: one, or one for each view that it is cut into.
+    pub fn pinholes(&self) -> Vec<Camera> {
+        let Some(cut) = self.cut() else { return vec![self.camera] };
+        cut.views(cut.side(), SIDE_MIN_PX).into_iter().map(|(_, camera)| camera).collect()
+    }
+
     /// How far the lens moves what is in a corner, px, at the most; `None` where a pinhole would not show a
     /// corner.
     pub fn bend_px(&self) -> Option<f64> {

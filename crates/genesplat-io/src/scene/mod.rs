@@ -4,6 +4,7 @@ mod bare;
 pub mod blocks;
 mod digests;
 mod doubt;
+mod frame;
 mod listed;
 mod masks;
 mod place;
@@ -39,7 +40,8 @@ use crate::listing::{Frame, ListedPhoto, Listing, Wanted, damaged_notice};
 use crate::offset::{self, Offset};
 use crate::photos::PhotoSize;
 use crate::{input, plural, shown, transforms};
-use view::{Loaded, Opened, PhotoStorage, Pinholes};
+use frame::Pinholes;
+use view::{Loaded, Opened, PhotoStorage};
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,15 +57,18 @@ pub struct Point {
 pub struct Scene {
     /// Name of the folder.
     pub name: String,
-    /// Views to train on, sorted by name.
+    /// Views to train on, sorted by the names of their photos.
     pub train: Vec<View>,
-    /// Views that training must never see, sorted by name.
+    /// Views that training must never see, sorted likewise.
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
     /// The points that each photo sees, by the name of its view: their places in `points`, rising. Empty
     /// where that is not known (COLMAP's tracks say it) or not asked for.
     pub seen: BTreeMap<String, Vec<u32>>,
+    /// The photo that a view is a part of, by the view's name: photos that show more than a pinhole can are
+    /// cut into several views. Other views have the names of their photos.
+    pub whole: BTreeMap<String, String>,
     /// Files of the photos, which must not be written over; empty for a scene that is not from a disk.
     pub photos: Vec<PathBuf>,
     /// What tells whether the scene is still what it was.
@@ -195,7 +200,10 @@ pub fn load_scene(
     let seen = seen([&mut train, &mut test]);
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
-    let ([train, test], digests) = load_views([&train, &test], options, progress, &mut notices)?;
+    let (loaded, digests) = load_photos([&train, &test], options, progress, &mut notices)?;
+    let whole = whole(&loaded);
+    let [train, test] =
+        loaded.map(|photos| photos.into_iter().flat_map(|photo| photo.views).collect::<Vec<_>>());
     if train.is_empty() && options.sample.is_none() {
         return Err(SceneError::invalid(
             path,
@@ -205,7 +213,23 @@ pub fn load_scene(
     }
     let digests = SceneDigests::of(digests, listing.points_digest).moved(listing.moved.offset);
     let (name, points, doubts) = (scene_name(path), listing.points, listing.doubts);
-    Ok(Scene { name, train, test, points, seen, photos, digests, notices, doubts })
+    Ok(Scene { name, train, test, points, seen, whole, photos, digests, notices, doubts })
+}
+
+impl Scene {
+    /// The name of the photo that the view of this name shows, or a part of.
+    pub fn photo_of<'a>(&'a self, view: &'a str) -> &'a str {
+        self.whole.get(view).map_or(view, |photo| photo)
+    }
+}
+
+/// The photos that views are parts of, by the names of both.
+fn whole(photos: &OfParts<Loaded>) -> BTreeMap<String, String> {
+    let parts = |photo: &Loaded| {
+        let parts = photo.views.iter().filter(|view| view.name != photo.name);
+        parts.map(|view| (view.name.clone(), photo.name.clone())).collect::<Vec<_>>()
+    };
+    photos.iter().flatten().flat_map(parts).collect()
 }
 
 /// The points that each of these photos sees, taken out of them.
@@ -218,20 +242,21 @@ fn seen(photos: [&mut [ListedPhoto]; 2]) -> BTreeMap<String, Vec<u32>> {
 /// Something of each training photo, and of each test photo.
 type OfParts<T> = [Vec<T>; 2];
 
-/// The views of training and test photos; those of which nothing counts are left out. And the digests of all
-/// of them.
-fn load_views(
+/// Training and test photos with their views; what is hidden entirely is left out. And the digests of all of
+/// them.
+fn load_photos(
     photos: [&[ListedPhoto]; 2],
     options: &LoadOptions,
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
-) -> Result<(OfParts<View>, OfParts<PhotoDigests>), SceneError> {
+) -> Result<(OfParts<Loaded>, OfParts<PhotoDigests>), SceneError> {
     let (pinholes, storage) =
         (Pinholes::default(), PhotoStorage::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Opened>, SceneError> {
         photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &storage, progress)).collect()
     };
-    let (loaded, digests) = without_damaged([load(photos[0])?, load(photos[1])?], notices)?;
+    let (mut loaded, digests) = without_damaged([load(photos[0])?, load(photos[1])?], notices)?;
+    notices.extend(cut_notice(&loaded));
     let all = || loaded.iter().flatten();
     let count = |holds: fn(&Loaded) -> bool| all().filter(|loaded| holds(loaded)).count();
     let found = masks::Found {
@@ -240,16 +265,24 @@ fn load_views(
         transparent: count(|loaded| loaded.is_transparent),
     };
     notices.extend(options.mask.notices(found));
-    if let Some(hidden) = all().find(|loaded| loaded.view.counted_pixels() == 0) {
-        let (hidden, count) = (shown(&hidden.view.name), count(|loaded| loaded.view.counted_pixels() == 0));
+    loaded.iter_mut().flatten().for_each(|photo| photo.views.retain(|view| view.counted_pixels() > 0));
+    let all = || loaded.iter().flatten();
+    if let Some(hidden) = all().find(|photo| photo.views.is_empty()) {
+        let count = all().filter(|photo| photo.views.is_empty()).count();
         let photos = plural(count, "photo is", "photos are");
-        notices.push(format!("{count} {photos} hidden entirely and left out, first {hidden}"));
+        notices.push(format!("{count} {photos} hidden entirely and left out, first {}", shown(&hidden.name)));
     }
-    let seen = |loaded: Vec<Loaded>| {
-        let views = loaded.into_iter().map(|loaded| loaded.view);
-        views.filter(|view| view.counted_pixels() > 0).collect()
-    };
-    Ok((loaded.map(seen), digests))
+    Ok((loaded, digests))
+}
+
+/// How many photos show more than a pinhole can, if any do.
+fn cut_notice(photos: &OfParts<Loaded>) -> Option<String> {
+    let is_cut = |photo: &&Loaded| photo.views.first().is_some_and(|view| view.name != photo.name);
+    let cut: Vec<&Loaded> = photos.iter().flatten().filter(is_cut).collect();
+    let views: usize = cut.iter().map(|photo| photo.views.len()).sum();
+    let photos = plural(cut.len(), "photo shows", "photos show");
+    (views > 0)
+        .then(|| format!("{} {photos} more than a pinhole can, and are cut into {views} views", cut.len()))
 }
 
 /// The photos that could be decoded, and the digests of all. An error where none is left to train on.

@@ -1,6 +1,6 @@
 //! Points for scenes that come with none: uniform in a cube, grey.
 
-use genesplat_core::camera::nearest_to_axes;
+use genesplat_core::camera::{mean_and_radius, nearest_to_axes};
 use genesplat_core::{Camera, Rng, Stream, median};
 use glam::{DMat3, DVec3};
 
@@ -43,6 +43,16 @@ impl Cube {
         Self { centre: focus, half_side: distance.max(1e-3 * length) }
     }
 
+    /// The cube around `cameras` that look all around, and what they walk by: what is to be seen lies beyond
+    /// them on all sides.
+    pub(crate) fn around(cameras: &[Camera]) -> Self {
+        const REACH: f64 = 3.0;
+        let centres: Vec<DVec3> = cameras.iter().map(Camera::centre_in_world).collect();
+        let (centre, radius) = mean_and_radius(&centres);
+        // Cameras at one place say nothing of the scene's size.
+        Self { centre, half_side: REACH * if radius > 0.0 { radius } else { 1.0 } }
+    }
+
     /// [`COUNT`] points, the same for the same seed.
     pub(crate) fn points(&self, seed: u64) -> Vec<Point> {
         let rng = Rng::new(seed);
@@ -82,6 +92,16 @@ mod tests {
             let offset = DVec3::from(point.position.map(f64::from)) - cube.centre;
             assert!(offset.abs().max_element() <= cube.half_side + 1e-5);
         }
+    }
+
+    #[test]
+    fn cameras_that_look_all_around_are_in_the_middle_wherever_they_look() {
+        let at = [1.0, 2.0, 3.0].map(|x| camera(DVec3::new(x, 5.0, 0.0), DVec3::Y));
+        let cube = Cube::around(&at);
+        assert!(
+            cube.centre.distance(DVec3::new(2.0, 5.0, 0.0)) < 1e-9 && (cube.half_side - 3.0).abs() < 1e-9
+        );
+        assert_eq!(Cube::around(&at[..1]).half_side, 3.0);
     }
 
     #[test]

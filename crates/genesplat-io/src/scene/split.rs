@@ -1,5 +1,6 @@
 //! Which photos are trained on, and which are held out for testing.
 
+use std::collections::BTreeMap;
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 
@@ -18,8 +19,9 @@ const USUAL_INTERVAL: usize = 8;
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HoldOut {
-    /// Sorted by name, every eighth, from the first on: the field's convention. A scene that names its own
-    /// test photos (Blender, nerfstudio file lists) keeps those instead.
+    /// Sorted by name, every eighth, from the first on: the field's convention; of photos that a rig of
+    /// lenses took at one moment, all or none. A scene that names its own test photos (Blender, nerfstudio
+    /// file lists) keeps those instead.
     #[default]
     EveryEighth,
     /// The same with another interval, at least 2, whatever the scene itself names.
@@ -34,23 +36,25 @@ pub enum HoldOut {
 impl HoldOut {
     /// Training and test views of a scene that names no test photos, each sorted by name.
     pub fn split(&self, views: Vec<View>) -> (Vec<View>, Vec<View>) {
-        self.part(views, |view| &view.name)
+        self.part(views, |view| (&*view.name, None))
     }
 
     /// The reference's order: by the file name up to its first dot (the whole name breaks ties). Every so
-    /// many-th is for testing, from the first on.
-    fn part<T>(&self, mut items: Vec<T>, name: impl Fn(&T) -> &str) -> (Vec<T>, Vec<T>) {
+    /// many-th is for testing, from the first on; what was taken at one moment counts once. Of each item its
+    /// name and moment are `told`.
+    fn part<T>(&self, mut items: Vec<T>, told: impl Fn(&T) -> (&str, Option<u32>)) -> (Vec<T>, Vec<T>) {
         items.sort_by(|a, b| {
-            let (a, b) = (name(a), name(b));
+            let (a, b) = (told(a).0, told(b).0);
             first_part(a).cmp(first_part(b)).then_with(|| a.cmp(b))
         });
-        let is_test = |(index, item): &(usize, T)| match self {
-            Self::EveryEighth => index % USUAL_INTERVAL == 0,
-            Self::Every(interval) => index % interval.get() as usize == 0,
-            Self::Photos(names) => names.iter().any(|listed| listed == name(item)),
+        let is_test = |(number, item): &(usize, T)| match self {
+            Self::EveryEighth => number % USUAL_INTERVAL == 0,
+            Self::Every(interval) => number % interval.get() as usize == 0,
+            Self::Photos(names) => names.iter().any(|listed| listed == told(item).0),
             Self::None => false,
         };
-        let (test, train): (Vec<_>, Vec<_>) = items.into_iter().enumerate().partition(is_test);
+        let numbers = numbers(items.iter().map(|item| told(item).1));
+        let (test, train): (Vec<_>, Vec<_>) = numbers.into_iter().zip(items).partition(is_test);
         let items = |part: Vec<(usize, T)>| part.into_iter().map(|(_, item)| item).collect();
         (items(train), items(test))
     }
@@ -64,6 +68,18 @@ impl HoldOut {
     }
 }
 
+/// Places among items without those of a moment that came before; a moment has one place.
+fn numbers(moments: impl Iterator<Item = Option<u32>>) -> Vec<usize> {
+    let (mut known, mut next) = (BTreeMap::new(), 0..);
+    let mut new = || next.next().expect("there are fewer items than numbers");
+    moments
+        .map(|moment| match moment {
+            Some(moment) => *known.entry(moment).or_insert_with(&mut new),
+            None => new(),
+        })
+        .collect()
+}
+
 /// Training and test photos of `scene`, each sorted by name.
 pub(super) fn split(
     photos: Vec<ListedPhoto>,
@@ -74,11 +90,11 @@ pub(super) fn split(
     let is_named = |photo: &ListedPhoto| photo.purpose != Purpose::Unsaid;
     if *hold_out == HoldOut::EveryEighth && used.iter().any(is_named) {
         // The scene itself says which photos are for testing.
-        let (used, _) = HoldOut::None.part(used, |photo| &photo.name);
+        let (used, _) = HoldOut::None.part(used, |photo| (&*photo.name, None));
         return Ok(used.into_iter().partition(|photo| photo.purpose != Purpose::Test));
     }
     let hold_out = hold_out.by_view_names(&used, scene)?;
-    Ok(hold_out.part(used, |photo| &photo.name))
+    Ok(hold_out.part(used, |photo| (&*photo.name, photo.moment)))
 }
 
 /// The name of the one view that is called `asked`, of the views and their files in `photos`: by its name or
@@ -147,6 +163,12 @@ pub(super) fn sample<T>(train: Vec<T>, test: Vec<T>, most: NonZeroUsize) -> (Vec
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn photos_of_one_moment_count_once() {
+        let moments = [None, Some(7), Some(9), None, Some(9), Some(7), None];
+        assert_eq!(numbers(moments.into_iter()), [0, 1, 2, 3, 2, 1, 4]);
+    }
 
     #[test]
     fn a_sample_is_of_held_out_photos_where_there_are_some() {

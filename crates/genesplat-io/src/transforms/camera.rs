@@ -8,8 +8,9 @@ use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::schema::{OptionalIntrinsics, PhotoEntry};
+use crate::colmap::{ROUND, round};
 use crate::error::SceneError;
-use crate::listing::{bad_pose, coefficients_problem, intrinsics_problem, position_problem};
+use crate::listing::{bad_pose, check_round, coefficients_problem, intrinsics_problem, position_problem};
 use crate::photos::{self, Lens, Polynomial, Projection};
 
 /// Most that the columns of a pose may differ from a rotation's: writers print few digits.
@@ -57,18 +58,19 @@ pub(super) fn camera(
         (Some(w), Some(h)) => [w, h],
         _ => photos::photo_size(photo).map(|(w, h)| [w, h].map(f64::from))?,
     };
-    let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
-    let fx = intrinsics.fl_x.or(from_angle(intrinsics.camera_angle_x, width));
-    let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height));
-    // Pixels are square where one of them is all that is said.
-    let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
-        return Err(bad("has none of fl_x, fl_y, camera_angle_x and camera_angle_y"));
+    let is_round = lens.as_ref().is_some_and(Lens::is_round);
+    if is_round {
+        check_round(list, &entry.file_path, [width, height])?;
+    }
+    let [fx, fy, cx, cy] = match is_round {
+        true => round(width, height),
+        false => pinhole(intrinsics, [width, height])
+            .ok_or_else(|| bad("has none of fl_x, fl_y, camera_angle_x and camera_angle_y"))?,
     };
-    let principal_px = [intrinsics.cx.unwrap_or(0.5 * width), intrinsics.cy.unwrap_or(0.5 * height)];
     let coefficients =
         [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4, intrinsics.p1, intrinsics.p2];
     let coefficients = coefficients.map(|coefficient| coefficient.unwrap_or(0.0));
-    let problem = intrinsics_problem([width, height], [fx, fy], principal_px);
+    let problem = intrinsics_problem([width, height], [fx, fy], [cx, cy]);
     if let Some(problem) = problem.or_else(|| coefficients_problem(&coefficients)) {
         return Err(bad(problem));
     }
@@ -76,7 +78,7 @@ pub(super) fn camera(
         width: width as u32,
         height: height as u32,
         focal_px: [fx, fy],
-        principal_px,
+        principal_px: [cx, cy],
         camera_from_world_rotation: rotation,
         camera_from_world_translation: translation,
         near: NEAR_DEPTH,
@@ -84,11 +86,20 @@ pub(super) fn camera(
     Ok((camera, lens))
 }
 
+/// `[fx, fy, cx, cy]` of photos of this size; pixels are square where one focal length is all that is said.
+fn pinhole(intrinsics: &OptionalIntrinsics, [width, height]: [f64; 2]) -> Option<[f64; 4]> {
+    let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
+    let fx = intrinsics.fl_x.or(from_angle(intrinsics.camera_angle_x, width));
+    let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height));
+    let [cx, cy] = [intrinsics.cx.unwrap_or(0.5 * width), intrinsics.cy.unwrap_or(0.5 * height)];
+    Some([fx.or(fy)?, fy.or(fx)?, cx, cy])
+}
+
 /// COLMAP's names of the models whose coefficients a `transforms.json` can hold.
 ///
 /// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4, and
 /// which nerfstudio's k4 is not.
-pub(crate) const KNOWN_MODELS: [&str; 8] = [
+pub(crate) const KNOWN_MODELS: [&str; 9] = [
     "PINHOLE",
     "SIMPLE_PINHOLE",
     "OPENCV",
@@ -97,6 +108,7 @@ pub(crate) const KNOWN_MODELS: [&str; 8] = [
     "OPENCV_FISHEYE",
     "RADIAL_FISHEYE",
     "SIMPLE_RADIAL_FISHEYE",
+    ROUND,
 ];
 
 fn lens(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<Option<Lens>, SceneError> {
@@ -108,6 +120,9 @@ fn lens(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<Option<Lens>, Sc
     };
     if !KNOWN_MODELS.contains(&model.as_str()) {
         return Err(SceneError::UnknownLens { file: list.to_owned(), model: said.to_owned() });
+    }
+    if model == ROUND {
+        return Ok(Some(Lens { projection: Projection::Equirectangular, ..Lens::default() }));
     }
     let value = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
     let [k1, k2, k3, k4] = [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4].map(value);

@@ -76,7 +76,8 @@ impl<'a> Reading<'a> {
         let mask = entry.mask_path.as_deref().filter(|_| self.wanted.masks);
         let mask = mask.map(|name| self.find_mask(name)).transpose()?;
         let list = self.shared.clone();
-        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, seen: Vec::new() });
+        let (seen, moment) = (Vec::new(), None);
+        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, seen, moment });
         Ok(())
     }
 

@@ -287,7 +287,7 @@ fn a_fraction_of_a_size_is_loaded_with_its_cameras() {
 #[test]
 fn an_unknown_camera_names_its_model_and_the_remedy() {
     let text = refusal(Form::Text, &tiny_model(2), |scene| {
-        fs::write(file_of(scene, Form::Text, "cameras"), "7 EQUIRECTANGULAR 40 30 40 30\n").unwrap();
+        fs::write(file_of(scene, Form::Text, "cameras"), "7 CYLINDER 40 30 40 30\n").unwrap();
     });
     let binary = refusal(Form::Binary, &tiny_model(2), |scene| {
         let path = file_of(scene, Form::Binary, "cameras");
@@ -295,7 +295,7 @@ fn an_unknown_camera_names_its_model_and_the_remedy() {
         bytes[12] = 99;
         fs::write(&path, bytes).unwrap();
     });
-    for (sentence, model) in [(text, "model EQUIRECTANGULAR"), (binary, "model with the number 99")] {
+    for (sentence, model) in [(text, "model CYLINDER"), (binary, "model with the number 99")] {
         assert!(sentence.contains(model) && sentence.contains("image_undistorter"), "{sentence}");
     }
 }

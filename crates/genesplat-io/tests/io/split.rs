@@ -70,6 +70,6 @@ fn a_listed_photo_is_one_photo_of_the_scene() {
     let list = list_scene(folder.path(), &LoadOptions::default()).unwrap();
     assert_eq!(
         ["right_1.png", "right/1", "1.png"].map(|name| list.view_name(name, folder.path()).ok()),
-        [Some("right_1.png"), Some("right_1.png"), None]
+        [Some("right_1.png".to_owned()), Some("right_1.png".to_owned()), None]
     );
 }

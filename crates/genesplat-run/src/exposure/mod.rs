@@ -131,18 +131,25 @@ fn told_by_points(scene: &Scene, background: [f32; 3]) -> Result<Result<Exposure
 
 /// What shared points say; `None` where they say nothing.
 pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
-    let [train, test] =
-        [&scene.train, &scene.test].map(|views| samples::of_views(views, &scene.points, &scene.seen));
+    let [train, test] = [&scene.train, &scene.test].map(|views| samples::of_photos(scene, views));
     let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
-    let names = || scene.train.iter().chain(&scene.test).map(|view| view.name.clone());
-    let known = |(name, gain): (String, Option<[f32; 3]>)| Some((name, gain?));
-    let photos = names().zip(found.gains.into_iter().flatten()).filter_map(known).collect();
-    let contrasts = names().zip(found.contrasts.into_iter().flatten()).filter(|(_, power)| *power != 1.0);
+    // All parts of a photo have what it has.
+    let photos = || [&scene.train, &scene.test].into_iter().flat_map(|views| samples::by_photo(scene, views));
+    let names = |views: &[View]| views.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
+    let known = |(views, gain): (&[View], Option<[f32; 3]>)| Some((names(views), gain?));
+    let of_views = |(names, gain): (Vec<String>, [f32; 3])| names.into_iter().map(move |name| (name, gain));
+    let gains =
+        photos().zip(found.gains.into_iter().flatten()).filter_map(known).flat_map(of_views).collect();
+    let contrasts = photos().zip(found.contrasts.into_iter().flatten()).filter(|(_, power)| *power != 1.0);
+    let contrasts =
+        contrasts.flat_map(|(views, power)| names(views).into_iter().map(move |name| (name, power)));
     let (stops, explained, contrasts) = (found.stops as f32, found.explained as f32, contrasts.collect());
-    let plain = scene.test.iter().zip(&found.plain_corners).filter(|(_, is_plain)| **is_plain);
-    let plain_corners = plain.map(|(view, _)| view.name.clone()).collect();
+    let plain =
+        samples::by_photo(scene, &scene.test).zip(&found.plain_corners).filter(|(_, is_plain)| **is_plain);
+    let plain_corners = plain.flat_map(|(views, _)| names(views)).collect();
     let fall_off = found.fall_off;
-    let mut exposure = Exposure { stops, explained, photos, contrasts, dark: 1.0, fall_off, plain_corners };
+    let mut exposure =
+        Exposure { stops, explained, photos: gains, contrasts, dark: 1.0, fall_off, plain_corners };
     exposure.dark = exposure.darkness(&scene.train);
     Ok(Some(exposure))
 }

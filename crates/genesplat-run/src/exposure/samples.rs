@@ -1,9 +1,7 @@
 //! What photos show where they see the points of the reconstruction.
 
-use std::collections::BTreeMap;
-
 use genesplat_core::{Mask, Photo, PhotoLost, View};
-use genesplat_io::Point;
+use genesplat_io::{Point, Scene};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -27,22 +25,27 @@ pub(super) struct Sample {
     pub(super) logs: [f32; 3],
 }
 
-/// The samples of each of `views`, which see the points that `seen` says.
-pub(super) fn of_views(
-    views: &[View],
-    points: &[Point],
-    seen: &BTreeMap<String, Vec<u32>>,
-) -> Result<Vec<Vec<Sample>>, PhotoLost> {
+/// The samples of each photo of which `views` are a part: the views of one photo follow each other, and have
+/// one exposure.
+pub(super) fn of_photos(scene: &Scene, views: &[View]) -> Result<Vec<Vec<Sample>>, PhotoLost> {
     // The same points in all photos, or nothing would be shared.
-    let every = seen.values().map(Vec::len).sum::<usize>().div_ceil(SEEN_MAX).max(1) as u32;
-    let of_view = |view: &View| {
-        let Some(seen) = seen.get(&view.name) else { return Ok(Vec::new()) };
+    let every = scene.seen.values().map(Vec::len).sum::<usize>().div_ceil(SEEN_MAX).max(1) as u32;
+    let of_view = |view: &View| -> Result<Vec<Sample>, PhotoLost> {
+        let Some(seen) = scene.seen.get(scene.photo_of(&view.name)) else { return Ok(Vec::new()) };
         let photo = view.photo.read()?;
         let mask = view.mask.as_deref();
         let seen = seen.iter().filter(|point| **point % every == 0);
-        Ok(seen.filter_map(|&point| sample(view, &photo, mask, point, points.get(point as usize)?)).collect())
+        let place = |point: u32| scene.points.get(point as usize);
+        Ok(seen.filter_map(|&point| sample(view, &photo, mask, point, place(point)?)).collect())
     };
-    views.par_iter().map(of_view).collect()
+    let of_views: Vec<Vec<Sample>> = views.par_iter().map(of_view).collect::<Result<_, PhotoLost>>()?;
+    let mut rest = of_views.into_iter();
+    Ok(by_photo(scene, views).map(|views| rest.by_ref().take(views.len()).flatten().collect()).collect())
+}
+
+/// The views of each photo.
+pub(super) fn by_photo<'a>(scene: &'a Scene, views: &'a [View]) -> impl Iterator<Item = &'a [View]> {
+    views.chunk_by(|a, b| scene.photo_of(&a.name) == scene.photo_of(&b.name))
 }
 
 fn sample(view: &View, photo: &Photo, mask: Option<&Mask>, point: u32, place: &Point) -> Option<Sample> {
@@ -74,8 +77,10 @@ mod tests {
     use std::sync::Arc;
 
     use genesplat_core::Camera;
+    use genesplat_io::HoldOut;
 
     use super::*;
+    use crate::small_scene;
 
     fn view(rgb: impl Fn(u32, u32) -> u8, mask: Option<Mask>) -> View {
         let camera = Camera::at_origin(20, 10, 10.0);
@@ -94,7 +99,9 @@ mod tests {
         let mut points: Vec<Point> = pixels.iter().copied().map(point).collect();
         points.push(Point { position: [0.0, 0.0, -2.0], rgb: [0; 3] });
         let seen = [("a".to_owned(), (0..points.len() as u32 + 1).collect())].into();
-        of_views(&[view], &points, &seen).unwrap().remove(0)
+        let mut scene = small_scene::gallery().into_scene(HoldOut::None);
+        (scene.points, scene.seen) = (points, seen);
+        of_photos(&scene, &[view]).unwrap().remove(0)
     }
 
     #[test]
@@ -107,6 +114,18 @@ mod tests {
             (found[0].logs[1] - log).abs() < 1e-6
                 && (found[1].logs[2] - (100.0f32 / 255.0).ln()).abs() < 1e-6
         );
+    }
+
+    #[test]
+    fn parts_of_a_photo_have_its_samples_together() {
+        let mut scene = small_scene::gallery().into_scene(HoldOut::None);
+        scene.points = vec![Point { position: [0.1, 0.1, 2.0], rgb: [0; 3] }];
+        scene.seen = ["a", "b"].map(|photo| (photo.to_owned(), vec![0])).into();
+        scene.whole = ["a.front", "a.up"].map(|part| (part.to_owned(), "a".to_owned())).into();
+        let views = ["a.front", "a.up", "b"].map(|name| View { name: name.into(), ..view(|_, _| 100, None) });
+        assert_eq!(by_photo(&scene, &views).map(<[View]>::len).collect::<Vec<_>>(), [2, 1]);
+        let samples = of_photos(&scene, &views).unwrap();
+        assert_eq!(samples.iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
     }
 
     #[test]

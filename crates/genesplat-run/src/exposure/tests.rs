@@ -179,7 +179,7 @@ fn put(index: usize) -> [f32; 3] {
 /// How far training photos are from the mean of what they share: the mean of logarithms' absolute
 /// differences.
 fn difference(scene: &Scene) -> f64 {
-    let samples = samples::of_views(&scene.train, &scene.points, &scene.seen).unwrap();
+    let samples = samples::of_photos(scene, &scene.train).unwrap();
     let mut of_points: BTreeMap<u32, Vec<f32>> = BTreeMap::new();
     samples
         .iter()

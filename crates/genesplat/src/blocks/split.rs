@@ -38,13 +38,24 @@ pub(crate) fn split(
         list.points.iter().map(|point| DVec3::from(point.position.map(f64::from))).collect();
     let cameras: Vec<Camera> = list.photos.iter().map(|photo| photo.camera).collect();
     let grid = Grid::cut(&cameras, &positions, count);
-    let members = Members::of(&grid, &cameras, &positions, margin);
+    // A photo of all around is of each block that one of its views shows.
+    let (pinholes, photos): (Vec<Camera>, Vec<&ScenePhoto>) = list
+        .photos
+        .iter()
+        .flat_map(|photo| photo.pinholes().into_iter().map(move |camera| (camera, photo)))
+        .unzip();
+    let members = Members::of(&grid, &pinholes, &positions, margin);
+    let photos_of = |number: usize| {
+        let mut shown: Vec<&ScenePhoto> = members.photos(number).iter().map(|&view| photos[view]).collect();
+        shown.dedup_by_key(|photo| &photo.name);
+        shown
+    };
     for (number, block) in grid.blocks().iter().enumerate() {
-        check(block, members.photos(number).iter().map(|&photo| &list.photos[photo]))?;
+        check(block, photos_of(number).into_iter())?;
     }
     let claim = Claim::take(out, list, count, margin)?;
     for (number, block) in grid.blocks().iter().enumerate() {
-        let photos = members.photos(number).iter().map(|&photo| &list.photos[photo]).collect();
+        let photos = photos_of(number);
         let points = members.points(number).map(|point| list.points[point]).collect();
         let content = Content { photos, points, offset: list.offset };
         write(&make_own_folder(out, Path::new(SCENES).join(&block.name))?, &content)?;

@@ -116,11 +116,15 @@ fn lenses(photos: &[ScenePhoto]) -> [Fact; 2] {
             cameras.push(camera);
         }
     }
+    let cut = photos.iter().filter(|photo| photo.is_cut()).count();
     let bend_px = photos.iter().try_fold(0.0f64, |most, photo| photo.bend_px().map(|bend| most.max(bend)));
     let shown = match bend_px {
         Some(0.0) => "pinhole: the photos are straight".into(),
         Some(bend) => {
             format!("moves the corners of a photo by up to {bend:.0} of its pixels, which is undone")
+        }
+        None if cut > 0 => {
+            format!("so wide that {cut} {} cut into views", plural(cut, "photo is", "photos are"))
         }
         None => "so wide that straight photos show less than it did".into(),
     };

@@ -49,7 +49,7 @@ def calibrate(job):
     A search that begins with a wrong one may bend what is found first beyond repair.
     """
     # Versions before 4 cannot.
-    if job["photos"] <= FEW or not hasattr(pycolmap, "calibrate_view_graph"):
+    if job["is_round"] or job["photos"] <= FEW or not hasattr(pycolmap, "calibrate_view_graph"):
         return
     with pycolmap.Database.open(job["database"]) as database:
         if any(camera.has_prior_focal_length for camera in database.read_all_cameras()):

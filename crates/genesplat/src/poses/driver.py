@@ -161,7 +161,7 @@ def finish_models():
         settle(models[largest], options)
         # A lens is found from here.
         models[largest].write(os.path.join(job["models"], largest))
-    if job["single_camera"] and models:
+    if job["single_camera"] and not job["is_round"] and models:
         largest = largest_of(models)
         models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), options)
     for name, model in models.items():

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::shown;
 use genesplat::run::numbers::thousands;
 use serde::Deserialize;
@@ -36,6 +36,9 @@ const MAX_FEATURES: u32 = 8192;
 /// Square pixels and one coefficient of distortion. With a focal length for each direction (`OPENCV`), which
 /// photos of an object on a turntable do not tell, a shoe was found at a quarter of its height.
 const CAMERA_MODEL: &str = "SIMPLE_RADIAL";
+/// Photos of all around have nothing to find, and four times as much of the world on a side.
+const ROUND_MODEL: &str = "EQUIRECTANGULAR";
+const ROUND_MAX_SIDE: u32 = 2 * MAX_SIDE;
 
 /// Frames of a film before and after one that the program `colmap` compares with it.
 const NEIGHBOURS: &str = "10";
@@ -137,6 +140,19 @@ impl Engine {
         ))
     }
 
+    /// Fails where photos of all around are beyond it.
+    pub(crate) fn check_round(&self) -> Result<()> {
+        let script = format!("import pycolmap; print(pycolmap.CameraModelId.{ROUND_MODEL})");
+        let knows = self.python(&script).and_then(|mut python| output_of(&mut python)).is_some();
+        ensure!(
+            knows,
+            "the photos show all around, and {} does not know cameras of such photos, as pycolmap 4.2 does; install it \
+             (`pip install --upgrade pycolmap`)",
+            self.name()
+        );
+        Ok(())
+    }
+
     /// Asks the program `colmap` for the errors that pycolmap has said already.
     pub(crate) fn measure(
         &self,
@@ -229,11 +245,12 @@ fn request(stage: Stage, job: &Job) -> Value {
         "photos": job.photos,
         "sizes": job.sizes,
         "single_camera": job.single_camera,
-        "camera_model": CAMERA_MODEL,
+        "camera_model": if job.is_round { ROUND_MODEL } else { CAMERA_MODEL },
+        "is_round": job.is_round,
         "max_distortion": max_distortion(job),
         "pairing": job.pairing,
         "threads": job.threads.map_or(-1, i32::from),
-        "max_side": MAX_SIDE,
+        "max_side": if job.is_round { ROUND_MAX_SIDE } else { MAX_SIDE },
         "max_features": MAX_FEATURES,
     })
 }
@@ -316,6 +333,7 @@ mod tests {
             photos: 9,
             single_camera: true,
             sizes: Vec::new(),
+            is_round: false,
             pairing: Pairing::Sequence,
             threads: Some(2),
             database,

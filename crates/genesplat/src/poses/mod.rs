@@ -9,6 +9,7 @@ mod heic;
 mod masks;
 mod photos;
 mod process;
+mod round;
 mod stages;
 mod summary;
 mod video;
@@ -123,6 +124,12 @@ fn prepare(
     let masks = masks::usable(request.out, &images, &names)?;
     let pairing = Pairing::of(&names, source.is_video(), request.all_pairs);
     let job = Job { masks, ..Job::new(&images, work, &names, pairing, request.threads)? };
+    if job.is_round {
+        engine.check_round()?;
+        output::tell(
+            "the photos show all around: each is one camera, which training cuts into pinhole views",
+        );
+    }
     Ok(Some((engine, names, job)))
 }
 

@@ -16,6 +16,7 @@ use serde::Serialize;
 
 use super::engine::{Engine, Said};
 use super::process::{self, Crashed};
+use super::round;
 use super::summary::{Compared, SUMMARY, pairs_of};
 
 /// Most photos of which each is matched with each other one.
@@ -91,6 +92,8 @@ pub(crate) struct Job {
     pub(crate) single_camera: bool,
     /// Names of the photos of each size, where one camera took two.
     pub(crate) sizes: Vec<Vec<String>>,
+    /// The photos show all around.
+    pub(crate) is_round: bool,
     pub(crate) pairing: Pairing,
     pub(crate) threads: Option<u16>,
     pub(crate) database: PathBuf,
@@ -112,6 +115,7 @@ impl Job {
             photos: names.len(),
             single_camera,
             sizes,
+            is_round: round::show_all_around(images, names)?,
             pairing,
             threads,
             database: work.join("database.db"),

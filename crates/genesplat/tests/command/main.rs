@@ -37,3 +37,4 @@ mod support;
 mod tensorboard;
 mod terminal;
 mod tools;
+mod wide;

@@ -109,7 +109,7 @@ fn cameras_are_found_by_the_program_colmap() {
 }
 
 /// Where a camera has its y axis, in the world.
-fn down([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+pub(crate) fn down([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)]
 }
 

@@ -394,7 +394,7 @@ fn mistakes_are_named() {
         (
             |d| d["camera_model"] = json!("FULL_OPENCV"),
             "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, RADIAL_FISHEYE, \
-             SIMPLE_RADIAL_FISHEYE; undistort",
+             SIMPLE_RADIAL_FISHEYE, EQUIRECTANGULAR; undistort",
         ),
         (
             |d| d["ply_file_path"] = json!("../p.ply"),
