@@ -64,7 +64,9 @@ pub(crate) fn evaluate_run(
         let views = if split == "test" { &scene.test } else { &scene.train };
         ensure!(!views.is_empty(), "{} has no {split} photos", shown(&data));
         let mut device = device_with(choice, &splat.cloud)?;
-        let light = exposure.as_ref().map(Light::finished);
+        let unseen = exposure.as_ref().filter(|_| split == "test");
+        let foretold = unseen.map(|exposure| exposure.foretold(&scene.train, &scene.test));
+        let light = exposure.as_ref().map(|of| Light::finished(of).foretelling(foretold.as_ref()));
         score(&mut device, views, &splat.settings, (network.as_ref(), light), &stop)
     };
     wait_for(py, &stop, work)?.map_err(told)

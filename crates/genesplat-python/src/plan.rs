@@ -72,7 +72,7 @@ impl Plan {
         if config.train.background.fixed_colour() != scene.background {
             return Err(wrong("the scene was loaded on another background; give Scene.load the same one"));
         }
-        if out.is_none() && scene.dataset.corrections != Corrections::Off {
+        if out.is_none() && scene.dataset.corrections == Corrections::On {
             return Err(wrong("photos are brought to one exposure in the folder of a run alone; give out"));
         }
         config.train.clone().resolve().map_err(wrong)?;

@@ -74,8 +74,8 @@ pub struct Metrics {
     pub evolution: Vec<StageRecord>,
 }
 
-/// Figures of a run whose photos were brought to one exposure. The photos that it is measured on are as they
-/// were taken.
+/// Figures of a run whose photos were brought to one exposure. Test photos are as they were taken, and
+/// `test` is of renders at the exposure that training photos nearby have: it looks at no test photo.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExposureFigures {
     /// Standard deviation of the training photos' exposure, stops.
@@ -84,8 +84,8 @@ pub struct ExposureFigures {
     pub explained: f32,
     /// PSNR of test photos against renders as they are, at the mean exposure of training photos, dB.
     pub test_psnr_raw: Option<f64>,
-    /// PSNR of test photos against renders at each photo's exposure, as the points say that it shares with
-    /// training photos, dB: what `test.psnr` is. No render is looked at for it.
+    /// PSNR of test photos against renders at the exposure of each, as the points say that it shares with
+    /// training photos, dB. No render is looked at for it.
     pub test_psnr_at_track_exposure: Option<f64>,
     /// PSNR of test photos after a fit of each render's colours to its photo, dB.
     pub test_cc_psnr: Option<f64>,
@@ -98,8 +98,8 @@ impl ExposureFigures {
         Self {
             stops: exposure.stops,
             explained: exposure.explained,
-            test_psnr_raw: test.as_rendered.as_ref().and_then(|scores| finite(scores.psnr)),
-            test_psnr_at_track_exposure: finite(test.scores.psnr),
+            test_psnr_raw: test.at_other.and_then(|at| finite(at.mean_exposure)),
+            test_psnr_at_track_exposure: test.at_other.and_then(|at| finite(at.track_exposure)),
             test_cc_psnr: finite(test.cc_psnr),
         }
     }

@@ -4,26 +4,37 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
-use genesplat_core::{Photo, RenderSettings, Renderer, View};
+use genesplat_core::{Image, RenderSettings, View};
 use genesplat_io::photos::write_own_png;
-use genesplat_metrics::{Evaluation, Lpips, ViewScore, cc_psnr, score_view};
+use genesplat_metrics::{Evaluation, Lpips, ViewScore, cc_psnr, psnr_under, score_view};
 use rayon::prelude::*;
 
 use crate::TEST;
 use crate::device::Device;
-use crate::exposure::{Light, Lit, Shade};
+use crate::exposure::{Light, Shade};
 use crate::output::Bar;
 use crate::scene;
 
 /// How well a splat reproduces photos.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scores {
-    /// Of renders, at the exposure of each photo where photos were brought to one.
+    /// Of renders; where photos were brought to one exposure, at that which each photo is expected to have.
     pub scores: Evaluation,
-    /// The same of renders as they are, without LPIPS; `None` where that is what [`Self::scores`] has.
-    pub as_rendered: Option<Evaluation>,
+    /// Of the same renders at other exposures; `None` where photos keep their own.
+    pub at_other: Option<AtOther>,
     /// Mean PSNR after a fit of each render's colours to its photo, dB; not finite where there is no photo.
     pub cc_psnr: f64,
+}
+
+/// Mean PSNR of photos, dB; not finite where there is none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AtOther {
+    /// Whether [`Scores::scores`] looks at no photo for its exposure, or is what its points tell.
+    pub is_foretold: bool,
+    /// Against renders at the mean exposure.
+    pub mean_exposure: f64,
+    /// Against renders at the exposure that the points of each photo tell.
+    pub track_exposure: f64,
 }
 
 /// Scores all of `views`, for the cloud that `device` holds; in a `light`, renders are put at the exposure of
@@ -68,12 +79,15 @@ pub(crate) fn evaluate_until(
         (views, names) = (&views[count..], &names[count..]);
         bar.set(scored.len() as u64, String::new);
     }
-    let fitted: f64 = scored.iter().map(|of_photo| of_photo.cc_psnr).sum();
-    let cc_psnr = fitted / scored.len() as f64;
-    let (scores, as_rendered): (Vec<_>, Vec<_>) =
-        scored.into_iter().map(|of_photo| (of_photo.score, of_photo.as_rendered)).unzip();
-    let as_rendered = light.map(|_| Evaluation::from_views(as_rendered.into_iter().flatten().collect()));
-    Ok(Some(Scores { scores: Evaluation::from_views(scores), as_rendered, cc_psnr }))
+    let mean = |of: fn(&Scored) -> f64| scored.iter().map(of).sum::<f64>() / scored.len() as f64;
+    let cc_psnr = mean(|of_photo| of_photo.cc_psnr);
+    let at_other = light.map(|light| AtOther {
+        is_foretold: light.is_foretold(),
+        mean_exposure: mean(|of_photo| of_photo.at_mean),
+        track_exposure: mean(|of_photo| of_photo.at_track),
+    });
+    let scores = Evaluation::from_views(scored.into_iter().map(|of_photo| of_photo.score).collect());
+    Ok(Some(Scores { scores, at_other, cc_psnr }))
 }
 
 /// Scores the first photos of `views`, as many as are scored at once, for who wants to know how long it
@@ -97,17 +111,17 @@ struct Scoring<'a> {
     folder: Option<&'a Path>,
 }
 
-/// A view, with its photo as it was taken, and its render at the exposure of that photo and as it is.
+/// A view, with its photo as it was taken, and its render as the cloud is.
 struct Rendered {
     view: View,
-    picture: Photo,
-    as_rendered: Option<Photo>,
+    image: Image,
 }
 
 /// What a photo adds to [`Scores`].
 struct Scored {
     score: ViewScore,
-    as_rendered: Option<ViewScore>,
+    at_mean: f64,
+    at_track: f64,
     cc_psnr: f64,
 }
 
@@ -131,31 +145,36 @@ impl Scoring<'_> {
 
     fn render(&self, device: &mut Device, view: &View) -> Result<Rendered> {
         let view = self.light.map_or_else(|| Ok(view.clone()), |light| light.as_taken(view))?;
-        let mut render = |shade: Shade| -> Result<Photo> {
-            let mut renderer = Lit { renderer: device.as_mut(), shade };
-            Ok(renderer.render(&view.camera, self.settings)?.to_photo())
-        };
-        let as_rendered = self.light.map(|light| render(light.mean())).transpose()?;
-        let picture = render(self.light.map_or(Shade::NONE, |light| light.of_photo(&view.name)))?;
-        Ok(Rendered { view, picture, as_rendered })
+        Ok(Rendered { image: device.render(&view.camera, self.settings)?, view })
     }
 
-    fn score_one(&self, Rendered { view, picture, as_rendered }: &Rendered, name: &str) -> Result<Scored> {
-        let photo = view.photo.read()?;
-        let plainly = |picture| score_view(view, picture, &photo, None);
+    fn score_one(&self, Rendered { view, image }: &Rendered, name: &str) -> Result<Scored> {
+        let (photo, mask) = (view.photo.read()?, view.mask.as_deref());
+        let [expected, at_mean, at_track] = self.shades(&view.name).map(|shade| {
+            let mut image = image.clone();
+            shade.put_on(&mut image, &view.camera);
+            image.to_photo()
+        });
         let path = Path::new(TEST).join(name);
-        self.folder.map_or(Ok(()), |folder| write_own_png(folder, path, picture))?;
+        self.folder.map_or(Ok(()), |folder| write_own_png(folder, path, &expected))?;
         Ok(Scored {
-            score: score_view(view, picture, &photo, self.lpips)?,
-            as_rendered: as_rendered.as_ref().map(plainly).transpose()?,
-            cc_psnr: cc_psnr(view.mask.as_deref(), picture, &photo)?,
+            score: score_view(view, &expected, &photo, self.lpips)?,
+            at_mean: psnr_under(mask, &at_mean, &photo)?,
+            at_track: psnr_under(mask, &at_track, &photo)?,
+            cc_psnr: cc_psnr(mask, &at_track, &photo)?,
         })
+    }
+
+    /// Of a photo: as it is expected to be, at the mean exposure, and as its points tell.
+    fn shades(&self, name: &str) -> [Shade; 3] {
+        let of = |light: Light<'_>| [light.foretold(name), light.mean(), light.of_photo(name)];
+        self.light.map_or([Shade::NONE; 3], of)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::{Camera, Gaussians};
+    use genesplat_core::{Camera, Gaussians, Photo};
 
     use super::*;
     use crate::device::{self, DeviceChoice};

@@ -150,7 +150,7 @@ pub struct Dataset {
     #[serde(skip_serializing_if = "is_default")]
     pub mask: MaskUse,
     /// Whether photos are brought to one exposure before training, by what the points that they share say: `on`,
-    /// `off`, or `auto` for where they say something that is worth it.
+    /// `off`, or `auto` for where they say something that is worth it; left out for `auto`.
     #[serde(skip_serializing_if = "is_default")]
     pub corrections: Corrections,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,

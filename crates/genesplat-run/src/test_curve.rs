@@ -7,23 +7,22 @@ use genesplat_core::{CloudRenderer, Photo, View};
 use genesplat_metrics::psnr_under;
 use rayon::prelude::*;
 
-use crate::exposure::{Exposure, Light, Shade};
+use crate::exposure::{Light, Shade};
 
 /// Points of the curve.
 pub(crate) const POINTS: u32 = 12;
 
 pub(crate) struct TestCurve<'a> {
     views: &'a [View],
-    exposure: Option<&'a Exposure>,
+    light: Option<Light<'a>>,
     every: u32,
 }
 
 impl<'a> TestCurve<'a> {
-    /// For a run of `iterations`, on renders at the exposure of each photo; `None` where no photo was held
-    /// out.
-    pub(crate) fn new(views: &'a [View], exposure: Option<&'a Exposure>, iterations: u32) -> Option<Self> {
+    /// For a run of `iterations`, on renders in this light; `None` where no photo was held out.
+    pub(crate) fn new(views: &'a [View], light: Option<Light<'a>>, iterations: u32) -> Option<Self> {
         let every = iterations.div_ceil(POINTS).max(1);
-        (!views.is_empty()).then_some(Self { views, exposure, every })
+        (!views.is_empty()).then_some(Self { views, light, every })
     }
 
     pub(crate) fn is_due(&self, iteration: u32) -> bool {
@@ -48,8 +47,8 @@ impl<'a> TestCurve<'a> {
 
     fn render(&self, renderer: &mut CloudRenderer<'_>, view: &View) -> Result<Photo> {
         let mut image = renderer.render(&view.camera)?;
-        let shade = self.exposure.map(|exposure| Light::finished(exposure).of_photo(&view.name));
-        shade.unwrap_or(Shade::NONE).put_on(&mut image, &view.camera);
+        let shade = self.light.map_or(Shade::NONE, |light| light.foretold(&view.name));
+        shade.put_on(&mut image, &view.camera);
         Ok(image.to_photo())
     }
 }

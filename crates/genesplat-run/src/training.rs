@@ -119,6 +119,11 @@ impl Run<'_> {
         self.exposure.map_or(1.0, Exposure::brightness)
     }
 
+    /// The exposure that test photos are expected to have.
+    fn foretold(&self) -> Option<Exposure> {
+        self.exposure.map(|exposure| exposure.foretold(&self.scene.train, &self.scene.test))
+    }
+
     fn check(&self, session: &mut RunSession) -> Result<Device> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
         let mut now = Inputs::of(self.settings, self.scene, self.exposure);
@@ -162,7 +167,9 @@ impl Run<'_> {
         };
         let Self { settings, scene, stop, .. } = *self;
         let schedule = &settings.schedule;
-        let curve = TestCurve::new(&scene.test, self.exposure, schedule.iterations);
+        let foretold = self.foretold();
+        let light = self.exposure.map(|exposure| Light::finished(exposure).foretelling(foretold.as_ref()));
+        let curve = TestCurve::new(&scene.test, light, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
         let brightness = self.brightness();
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_deref_mut(), asked)
@@ -280,13 +287,14 @@ impl Run<'_> {
         };
         let settings = self.settings.schedule.render_settings();
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
-        let light = self.exposure.map(Light::in_training);
+        let (foretold, light) = (self.foretold(), self.exposure.map(Light::in_training));
         let mut score = |views: &[View], light: Option<Light<'_>>, folder: Option<&Path>| {
             let bar = bar("scores", 0, views.len() as u64);
             evaluate_until(stop, device, views, &settings, (lpips, light), folder, bar)
         };
         let folder = session.writes().then_some(session.path());
-        let Some(test) = score(&self.scene.test, light, folder)? else {
+        let on_test = light.map(|light| light.foretelling(foretold.as_ref()));
+        let Some(test) = score(&self.scene.test, on_test, folder)? else {
             return Ok(None);
         };
         Ok(score(train, light.map(Light::brought), None)?.map(|train| (test, train.scores)))

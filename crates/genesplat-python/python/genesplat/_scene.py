@@ -73,7 +73,7 @@ class Scene:
         hold_out: Union[int, str, Sequence[str], None] = None,
         mask: str = "usual",
         near: Optional[float] = None,
-        corrections: str = "off",
+        corrections: str = "auto",
         background: str = "black",
         seed: int = 0,
     ) -> Scene:
@@ -91,7 +91,8 @@ class Scene:
                 number for another interval, a list of names, or "none".
             mask: What masks and transparency mean: "usual", "ignore", "transparent" or "off".
             near: Near plane of all cameras, world units.
-            corrections: "on" brings photos to one exposure before training (COLMAP scenes).
+            corrections: "on" brings photos to one exposure before training (COLMAP scenes), "auto" where that is
+                worth it and the training has a folder, "off" never.
             background: Behind transparent photos: "black" or "white".
             seed: Of the random points that a scene without points starts from.
 

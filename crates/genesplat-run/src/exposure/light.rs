@@ -1,13 +1,10 @@
 //! Renders at the exposure of a photo.
 
-use std::borrow::Cow;
 use std::io;
 use std::sync::Arc;
 
 use anyhow::Result;
-use genesplat_core::{
-    BackendError, Camera, Gaussians, Image, Photo, PhotoStore, RenderSettings, Renderer, StoredPhoto, View,
-};
+use genesplat_core::{Camera, Image, Photo, PhotoStore, StoredPhoto, View};
 
 use super::Exposure;
 use super::fall_off::of_row;
@@ -20,12 +17,14 @@ pub struct Light<'a> {
     cloud: f32,
     /// Whether the photos are those that training sees.
     is_brought: bool,
+    /// What is expected of photos that nobody has looked at ([`Exposure::foretold`]).
+    foretold: Option<&'a Exposure>,
 }
 
 impl<'a> Light<'a> {
     /// Of a finished cloud, and photos as they were taken.
     pub fn finished(exposure: &'a Exposure) -> Self {
-        Self { exposure, cloud: 1.0, is_brought: false }
+        Self { exposure, cloud: 1.0, is_brought: false, foretold: None }
     }
 
     /// Of a cloud under training.
@@ -36,6 +35,20 @@ impl<'a> Light<'a> {
     /// With photos that were brought to the exposure that training sees.
     pub fn brought(self) -> Self {
         Self { is_brought: true, ..self }
+    }
+
+    /// With figures of renders at the exposure that photos are expected to have.
+    pub fn foretelling(self, foretold: Option<&'a Exposure>) -> Self {
+        Self { foretold, ..self }
+    }
+
+    pub(crate) fn is_foretold(&self) -> bool {
+        self.foretold.is_some()
+    }
+
+    /// What makes a render look as the photo of this name is expected to.
+    pub(crate) fn foretold(&self, name: &str) -> Shade {
+        self.foretold.unwrap_or(self.exposure).taking(name, self.cloud)
     }
 
     /// What makes a render look as the photo of this name.
@@ -144,31 +157,5 @@ impl PhotoStore for Shaded {
         let asked = shaded.rgb.get(at as usize..at as usize + out.len());
         out.copy_from_slice(asked.ok_or(io::ErrorKind::UnexpectedEof)?);
         Ok(())
-    }
-}
-
-/// Draws what another device draws, in a shade.
-pub(crate) struct Lit<'a> {
-    pub(crate) renderer: &'a mut dyn Renderer,
-    pub(crate) shade: Shade,
-}
-
-impl Renderer for Lit<'_> {
-    fn describe(&self) -> String {
-        self.renderer.describe()
-    }
-
-    fn gaussian_count(&self) -> usize {
-        self.renderer.gaussian_count()
-    }
-
-    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        self.renderer.download()
-    }
-
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        let mut image = self.renderer.render(camera, settings)?;
-        self.shade.put_on(&mut image, camera);
-        Ok(image)
     }
 }

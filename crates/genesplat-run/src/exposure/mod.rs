@@ -1,5 +1,5 @@
 //! Photos of other exposure and white balance than the rest: brought to one exposure before training, by what
-//! the points that photos share say, where somebody asks for it.
+//! the points that photos share say, where that is worth it.
 //!
 //! A photo has three numbers, the factors by which its red, green and blue are brighter than on average of
 //! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
@@ -16,14 +16,16 @@
 //! darkest photo shows white is not cut off in any; the cloud is made brighter by it when it is shown or
 //! saved, which is exact, since colours are linear in their harmonics. So no device knows of exposure.
 //!
-//! A test photo's gain comes from the points that it shares with training photos, and is put on its render:
-//! the photo itself is compared as it is.
+//! A photo is compared as it was taken, with its render at some exposure. Figures are of that which training
+//! photos taken nearby have ([`Exposure::foretold`]), so that a test photo is looked at for nothing; beside
+//! them stand those at the exposure that the photo's own points tell.
 
 mod contrast;
 mod estimate;
 mod fall_off;
 mod fit;
 mod light;
+mod nearby;
 mod samples;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,7 +35,6 @@ use genesplat_core::View;
 use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
 
-pub(crate) use light::Lit;
 pub use light::{Light, Shade};
 
 use crate::output;
@@ -51,9 +52,9 @@ pub enum Corrections {
     /// They are, by what shared points say.
     On,
     /// They are where shared points say something that is worth it.
+    #[default]
     Auto,
     /// They are trained on as they are.
-    #[default]
     Off,
 }
 

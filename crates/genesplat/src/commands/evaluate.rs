@@ -33,15 +33,14 @@ struct Report {
     exposure: Option<AtExposure>,
 }
 
-/// `psnr`, `ssim` and `lpips` are of renders at the exposure of each photo, as shared points say it.
+/// `psnr`, `ssim` and `lpips` are of renders at the exposure that training photos nearby have; of training
+/// photos, at their own.
 #[derive(Serialize)]
 struct AtExposure {
-    /// What `psnr` is, dB.
+    /// At the exposure that the points of each photo tell, dB.
     psnr_at_track_exposure: f64,
     /// Of renders as they are, at the mean exposure, dB.
     psnr_raw: f64,
-    /// The figures of renders as they are.
-    raw: Evaluation,
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
@@ -83,7 +82,9 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
     let mut backend = device::open(args.machine.device().unwrap_or_default())?;
     let (gaussians, is_own) = (splat.cloud.len(), splat.began_with(&scene));
     backend.upload(splat.cloud.into())?;
-    let light = exposure.as_ref().map(Light::finished);
+    let is_unseen = args.split == Split::Test;
+    let foretold = exposure.as_ref().filter(|_| is_unseen).map(|of| of.foretold(&scene.train, &scene.test));
+    let light = exposure.as_ref().map(|exposure| Light::finished(exposure).foretelling(foretold.as_ref()));
     let found = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref(), light)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_told(name, &found)))?;
@@ -98,9 +99,9 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
 }
 
 fn report(dataset: String, (split, size, gaussians): (Split, [u32; 2], usize), found: Scores) -> Report {
-    let Scores { scores, as_rendered, cc_psnr } = found;
-    let exposure =
-        as_rendered.map(|raw| AtExposure { psnr_at_track_exposure: scores.psnr, psnr_raw: raw.psnr, raw });
+    let Scores { scores, at_other, cc_psnr } = found;
+    let exposure = at_other
+        .map(|at| AtExposure { psnr_at_track_exposure: at.track_exposure, psnr_raw: at.mean_exposure });
     let cc_psnr = Some(cc_psnr).filter(|psnr| psnr.is_finite());
     Report { dataset, split, size, gaussians, scores, cc_psnr, exposure }
 }

@@ -164,6 +164,8 @@ fn load(
         false => exposure::decide(&scene, config.dataset.corrections, background)?,
     };
     exposure.as_ref().map_or(Ok(()), |exposure| exposure.bring(&mut scene, Some(&spill)))?;
+    // In a large scene they take as much memory as its photos.
+    scene.seen.clear();
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips.asked())?;
     if let Some(minutes) = args.schedule.minutes {
@@ -264,7 +266,7 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
 fn print_test(metrics: &Metrics) -> Result<()> {
     let line = output::scores_line("test", &metrics.test);
     let figures = metrics.exposure.as_ref();
-    let others = figures.map(|figures| [figures.test_psnr_raw, figures.test_cc_psnr]);
+    let others = figures.map(|figures| [figures.test_psnr_at_track_exposure, figures.test_cc_psnr]);
     output::print(&output::with_exposure(line, others))
 }
 

@@ -242,23 +242,29 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     }
 }
 
-/// A line of scores that were taken at the exposure of each photo, with the PSNR of renders as they are and
-/// after a fit of colours; the same line where photos keep their exposure.
+/// A line of scores at the exposure that photos are expected to have, with the PSNR at that which shared points
+/// give them and after a fit of colours; the same line where photos keep their exposure.
 pub fn with_exposure(line: String, others: Option<[Option<f64>; 2]>) -> String {
     match others {
-        Some([Some(raw), Some(fitted)]) => format!(
-            "{line}, at the exposure that shared points give each photo; raw {raw:.2} dB, after a fit of colours (cc_psnr) {fitted:.2} dB"
+        Some([Some(at_track), Some(fitted)]) => format!(
+            "{line}, at the exposure of training photos nearby; {at_track:.2} dB at that which shared points give each photo, \
+             {fitted:.2} dB after a fit of colours (cc_psnr)"
         ),
         _ => line,
     }
 }
 
-/// The line of `scores`, as [`with_exposure`].
+/// The line of `scores`, with what they are at other exposures.
 pub fn scores_told(name: &str, scores: &Scores) -> String {
     let line = scores_line(name, &scores.scores);
-    let raw = scores.as_rendered.as_ref().map(|scores| scores.psnr);
-    let finite = |psnr: f64| Some(psnr).filter(|psnr| psnr.is_finite());
-    with_exposure(line, raw.map(|raw| [finite(raw), finite(scores.cc_psnr)]))
+    let fitted = Some(scores.cc_psnr).filter(|psnr| psnr.is_finite());
+    match (scores.at_other, fitted) {
+        (Some(at), _) if at.is_foretold => with_exposure(line, Some([Some(at.track_exposure), fitted])),
+        (Some(_), Some(fitted)) => format!(
+            "{line}, at the exposure that shared points give each photo; {fitted:.2} dB after a fit of colours (cc_psnr)"
+        ),
+        _ => line,
+    }
 }
 
 /// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause
