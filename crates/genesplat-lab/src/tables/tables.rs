@@ -43,7 +43,7 @@ struct Table {
     write: fn(&[Part], &Path) -> Result<String>,
 }
 
-const TABLES: [Table; 18] = [
+const TABLES: [Table; 19] = [
     Table {
         name: "methods",
         file: "real-size",
