@@ -1,6 +1,6 @@
-//! The exposure that a photo is expected to have before anybody has looked at it: that of training photos which
-//! were taken nearby, or shortly before and after. Which of these tell it best, and how many, is what training
-//! photos say of each other.
+//! The exposure that a photo is expected to have before anybody has looked at it: that of training photos
+//! which were taken nearby, or shortly before and after. Which of these tell it best, and how many, is what
+//! training photos say of each other.
 
 use genesplat_core::camera::mean_and_radius;
 use genesplat_core::{Camera, View};
@@ -163,7 +163,6 @@ mod tests {
     fn an_exposure_that_drifts_is_that_of_neighbours_and_no_test_photo_is_asked() {
         let train = views("train", (0..30).map(f64::from));
         let test = views("test", [3.4, 21.9].into_iter());
-        // Places and names are of two orders.
         let gain = |place: f32| (0.05 * place - 0.7).exp();
         let said = exposure(&train, &test, |at| gain(at as f32));
         let foretold = said.foretold(&train, &test);
