@@ -76,8 +76,8 @@ def compared_pairs(database):
 def extract_features_of(names):
     """Of the photos with these names; where there are none, of all. Photos of one camera have one size.
 
-    They get their numbers in the order of their names before, and not in that in which threads are done with them: one folder
-    of photos has one result.
+    They get their numbers in the order of their names before, and not in that in which threads are done with them: the search
+    hangs on it.
     """
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads = job["threads"]
