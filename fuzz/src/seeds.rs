@@ -20,7 +20,8 @@ const CAMERAS: &str = "# a comment\n1 PINHOLE 20 16 20 21 10 8\n2 SIMPLE_RADIAL 
     3 OPENCV 20 16 20 20 10 8 -0.1 0.01 0.001 0\n4 OPENCV_FISHEYE 16 16 9 9 8 8 0.1 0 0 0\n5 FULL_OPENCV 20 16 20 20 10 8 0.1 0 0 0 0 0 0 0\n\
     6 EQUIRECTANGULAR 20 10 20 10\n7 OPENCV_FISHEYE 20 20 6 6 10 10 0.01 0 0 0\n";
 const IMAGES: &str = "1 1 0 0 0 0 0 0 1 a.png\n1.5 2.5 -1 3 4 7\n2 0.5 0.5 0.5 0.5 1 2 3 1 b/c d.jpg\n\n";
-const FRAMES: &str = "# a comment\n1 1 1 0 0 0 0.5 0 1 2 CAMERA 1 1 CAMERA 2 2\n2 1 1 0 0 0 1 0 1 1 IMU 1 3\n";
+const FRAMES: &str =
+    "# a comment\n1 1 1 0 0 0 0.5 0 1 2 CAMERA 1 1 CAMERA 2 2\n2 1 1 0 0 0 1 0 1 1 IMU 1 3\n";
 const POINTS: &str = "7 1.5 -2 3e2 255 0 17 0.5 1 0 2 3\n8 0 0 0 1 2 3 0\n";
 const TRANSFORMS: &str = r#"{"camera_model":"OPENCV","fl_x":20,"fl_y":21.5,"cx":10,"cy":8,"w":20,"h":16,"k1":0.1,"k2":0,
 "p1":0,"p2":0,"ply_file_path":"a.ply","train_filenames":["a.png"],"test_filenames":["b.png"],"frames":[
@@ -108,8 +109,16 @@ fn of(target: &str) -> Vec<Vec<u8>> {
 fn frames() -> Vec<u8> {
     let pose = [1.0f64, 0.0, 0.0, 0.0, 0.5, 0.0, 1.0].map(f64::to_le_bytes).concat();
     let entry = |id: u32| [&0i32.to_le_bytes()[..], &id.to_le_bytes(), &u64::from(id).to_le_bytes()].concat();
-    [&1u64.to_le_bytes()[..], &1u32.to_le_bytes(), &1u32.to_le_bytes(), &pose, &2u32.to_le_bytes(), &entry(1), &entry(2)]
-        .concat()
+    [
+        &1u64.to_le_bytes()[..],
+        &1u32.to_le_bytes(),
+        &1u32.to_le_bytes(),
+        &pose,
+        &2u32.to_le_bytes(),
+        &entry(1),
+        &entry(2),
+    ]
+    .concat()
 }
 
 /// Gaussians of numbers that are usual, that are as large as is believed, and that overflow when they are

@@ -134,7 +134,7 @@ impl Plan {
         let start = match (checkpoint, &self.cloud) {
             (Some(checkpoint), _) => Start::Checkpoint(checkpoint),
             (None, Some(cloud)) => Start::Cloud((**cloud).clone()),
-            (None, None) => Start::Points(scene::points(&self.scene)),
+            (None, None) => Start::Points(scene::points(&*self.with_far_points()?)),
         };
         let mut device = device::open(settings.device)?;
         let mut reporter = Reporter::without_folder(stop).beside(Some(along));
@@ -203,15 +203,27 @@ impl Plan {
         })
     }
 
-    /// The scene with its training photos at one exposure, where that is asked for.
+    /// The scene that training begins with.
+    fn with_far_points(&self) -> anyhow::Result<Arc<Scene>> {
+        let far = scene::far_points(&self.scene, &self.config.train)?;
+        if far.is_empty() {
+            return Ok(Arc::clone(&self.scene));
+        }
+        let mut scene = Scene::clone(&self.scene);
+        scene.points.extend(far);
+        Ok(scene.into())
+    }
+
+    /// The same with its training photos at one exposure, where that is asked for.
     fn exposed(&self, out: &Path, resumes: bool) -> anyhow::Result<(Arc<Scene>, Option<Exposure>)> {
+        let scene = self.with_far_points()?;
         let background = self.config.train.background.fixed_colour();
         let exposure = match resumes {
             true => Inputs::of_checkpoint(out)?.exposure,
-            false => exposure::decide(&self.scene, self.config.dataset.corrections, background)?,
+            false => exposure::decide(&scene, self.config.corrections(), background)?,
         };
-        let Some(exposure) = exposure else { return Ok((Arc::clone(&self.scene), None)) };
-        let mut scene = Scene::clone(&self.scene);
+        let Some(exposure) = exposure else { return Ok((scene, None)) };
+        let mut scene = Scene::clone(&scene);
         exposure.bring(&mut scene, Some(&spill()))?;
         Ok((scene.into(), Some(exposure)))
     }

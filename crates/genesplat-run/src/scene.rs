@@ -8,6 +8,7 @@ use anyhow::{Result, bail};
 use genesplat_core::View;
 use genesplat_io::{Doubt, LoadOptions, Offset, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
 use genesplat_train::scene::initialise::ColouredPoint;
+use genesplat_train::{MethodName, TrainConfig};
 
 use crate::exposure::Corrections;
 use crate::far;
@@ -35,16 +36,23 @@ pub fn load(
 ) -> Result<Scene> {
     let with_tracks = dataset.corrections != Corrections::Off;
     let options = LoadOptions { seed, spill, offset, with_tracks, ..dataset.options() };
-    let mut scene = told(read(&dataset.path, background, options))?;
-    let far = far::points(&scene, in_8_bit(background))?;
+    told(read(&dataset.path, background, options))
+}
+
+/// Points far away that training starts from beside those of `scene`, and says so. Published methods have
+/// none.
+pub fn far_points(scene: &Scene, train: &TrainConfig) -> Result<Vec<Point>> {
+    if train.method.name != MethodName::Genesplat {
+        return Ok(Vec::new());
+    }
+    let far = far::points(scene, in_8_bit(train.background.fixed_colour()))?;
     if !far.is_empty() {
         let count = far.len();
         output::tell(&format!(
             "{count} points are added far away, where photos show sky or what is beyond all others"
         ));
     }
-    scene.points.extend(far);
-    Ok(scene)
+    Ok(far)
 }
 
 /// The same to inspect: notices are the caller's to tell.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat_io::{HoldOut, LoadOptions, MaskUse, PhotoSize, input, shown};
-use genesplat_train::{Background, Schedule, TrainConfig};
+use genesplat_train::{Background, MethodName, Schedule, TrainConfig};
 use serde::de::Error;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -150,7 +150,8 @@ pub struct Dataset {
     #[serde(skip_serializing_if = "is_default")]
     pub mask: MaskUse,
     /// Whether photos are brought to one exposure before training, by what the points that they share say: `on`,
-    /// `off`, or `auto` for where they say something that is worth it; left out for `auto`.
+    /// `off`, or `auto` for where they say something that is worth it and the method is ours; left out for
+    /// `auto`.
     #[serde(skip_serializing_if = "is_default")]
     pub corrections: Corrections,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,
@@ -199,6 +200,15 @@ pub struct ConfigFile {
 }
 
 impl ConfigFile {
+    /// What is asked of the photos' exposure: a published method has photos as they are, unless somebody
+    /// insists.
+    pub fn corrections(&self) -> Corrections {
+        match (self.dataset.corrections, self.train.method.name) {
+            (Corrections::Auto, name) if name != MethodName::Genesplat => Corrections::Off,
+            (asked, _) => asked,
+        }
+    }
+
     /// What no file changes.
     pub fn defaults() -> Self {
         Self::from_table(Table::new()).expect("every setting has a default")

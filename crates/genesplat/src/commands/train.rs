@@ -156,12 +156,13 @@ fn load(
     let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
     let offset = if args.resume { inputs::offset(&args.out) } else { None };
     let mut scene = scene::load(&config.dataset, background, config.train.seed, Some(spill.clone()), offset)?;
+    scene.points.extend(scene::far_points(&scene, &config.train)?);
     // A run that goes on was begun all the same.
     scene::check_promising(&scene, args.anyway || args.resume)?;
     let exposure = match args.resume {
         // That of the steps that were made.
         true => Inputs::of_checkpoint(&args.out)?.exposure,
-        false => exposure::decide(&scene, config.dataset.corrections, background)?,
+        false => exposure::decide(&scene, config.corrections(), background)?,
     };
     exposure.as_ref().map_or(Ok(()), |exposure| exposure.bring(&mut scene, Some(&spill)))?;
     // In a large scene they take as much memory as its photos.
