@@ -129,8 +129,8 @@ impl Schedule {
                 "few looks at each photo: other rates but rotations' are {others} times as high"
             ));
         }
-        if timeline.huber_delta > 0 {
-            let levels = timeline.huber_delta;
+        let levels = method.huber_delta;
+        if levels > 0 {
             lines.push(format!("differences below {levels} of 255 levels count by their square"));
         }
         lines

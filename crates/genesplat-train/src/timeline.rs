@@ -281,8 +281,6 @@ pub struct Timeline {
     pub(crate) recovery: Option<Recovery>,
     /// How much higher rates are, if they are.
     pub(crate) haste: Option<Haste>,
-    /// As [`TrainStep`](genesplat_core::TrainStep) has it.
-    pub(crate) huber_delta: u32,
 }
 
 impl Timeline {
@@ -309,7 +307,6 @@ impl Timeline {
             size_prune_after: length.scaled(SIZE_PRUNE_AFTER).min(length.interval(method.reset_every)),
             recovery: None,
             haste: None,
-            huber_delta: method.huber_delta,
         };
         timeline.add(Event::Densify, timeline.densifications());
         timeline

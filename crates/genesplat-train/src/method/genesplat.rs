@@ -5,11 +5,10 @@
 //! 1. the whole schedule fits into the run, however long it is;
 //! 2. the cap is what the photos can determine (`capacity`), so that the cloud cannot learn them by heart;
 //! 3. it grows by the power 1.5 of the iterations and not by their root (`gradual_growth`);
-//! 4. small differences from the photos count by their square (`huber_delta`);
-//! 5. the mean of the last two fifths of the states is the result, and stands for the large steps
+//! 4. the mean of the last two fifths of the states is the result, and stands for the large steps
 //!    (`averaging`);
-//! 6. where each photo is seen very often, some late steps look at virtual views (`virtual_views`);
-//! 7. where it is seen seldom, all of it is in haste ([`hasty`], `few_looks`).
+//! 5. where each photo is seen very often, some late steps look at virtual views (`virtual_views`);
+//! 6. where it is seen seldom, all of it is in haste ([`hasty`], `few_looks`).
 //!
 //! What it is worth: docs/evolution.md.
 
@@ -26,13 +25,6 @@ use crate::timeline::{Event, Growth, Haste, Length, Timeline, When};
 /// The power: slower than evenly at first, when photos were hardly looked at. (On validation photos at 480
 /// px, 2 and 1 are worse.)
 const GRADUAL: f64 = 1.5;
-
-/// What is left of a photo that is learnt by heart is mostly its noise, at which L1 pulls as hard as at a
-/// mistake. (On validation photos, 3,500 steps at 160 px, seed 0, with 0, 5, 13, 25 and 76 levels: fox 33.56,
-/// 33.58, 33.74, 33.90, 33.74 dB; fern 30.88, 31.19, 31.26, 31.39, 31.59; 32 photos of bonsai 24.15, 24.12
-/// and 24.41 with 0, 5 and 25. L1 beside a weight of 0.6 of SSIM: fox 33.64, fern 31.37. In haste, on 112
-/// photos of bonsai: 29.94, 30.12, 29.88 with 0, 5 and 13, which is no more than seeds differ.)
-const HUBER_DELTA: u32 = 25;
 
 /// A run that sees each photo fewer times is still learning at its end. (Haste on 112, 56 and 32 photos of
 /// bonsai, 3,500 steps at 160 px, on validation photos: 31 looks +1.3 dB, SSIM +0.016; 62 looks +0.6, +0.014;
@@ -69,7 +61,6 @@ impl Method for Genesplat {
     fn defaults(&self) -> MethodConfig {
         MethodConfig {
             name: MethodName::Genesplat,
-            huber_delta: HUBER_DELTA,
             capacity: 1.0,
             gradual_growth: true,
             few_looks: FEW_LOOKS,
@@ -150,7 +141,6 @@ fn hasty(config: &TrainConfig, length: Length) -> Timeline {
         timeline
     };
     timeline.haste = Some(HASTE);
-    timeline.huber_delta = 0;
     timeline.with_mean_of_last(HASTY_MEAN, config, length)
 }
 
