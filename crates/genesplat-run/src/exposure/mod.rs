@@ -110,10 +110,8 @@ pub fn decide(scene: &Scene, asked: Corrections, background: [f32; 3]) -> Result
             output::tell(&exposure.sentence(scene));
             Ok(Some(exposure))
         }
-        (Err(why), Corrections::Auto) => {
-            output::tell(&format!("photos keep their exposure: {why}"));
-            Ok(None)
-        }
+        // Nobody has asked.
+        (Err(_), Corrections::Auto) => Ok(None),
         (Err(why), _) => {
             Err(anyhow!("photos cannot be brought to one exposure: {why}; leave out --corrections on"))
         }
