@@ -9,6 +9,7 @@ use genesplat::io::photos::write_png;
 use genesplat::io::{Scene, plural, shown};
 use genesplat::metrics::Evaluation;
 use genesplat::run::device::Device;
+use genesplat::run::exposure::{Exposure, Light};
 use genesplat::run::numbers::thousands;
 use genesplat::run::output::{Bar, WriteBar};
 use genesplat::run::photos::check_test_photos;
@@ -43,7 +44,7 @@ pub(crate) fn run(args: &CleanArgs) -> Result<()> {
     let scene = load(&splat, args)?;
     let mut device = device::open(args.splat.machine.device().unwrap_or_default())?;
     device.upload(splat.cloud.clone().into())?;
-    let judges = Judges::of(&scene);
+    let judges = Judges::of(&scene, splat.exposure(&scene, &args.splat.photos.asked()?));
     let before = judges.scores(&mut device, &splat.settings)?;
     if !args.anyway && !splat.began_with(&scene) {
         judges.check_shown(&before, &scene, &args.splat.path)?;
@@ -138,18 +139,21 @@ fn in_words(reason: Unsupported, count: usize) -> &'static str {
 struct Judges<'a> {
     views: &'a [View],
     name: &'static str,
+    /// If the run brought its photos to one.
+    exposure: Option<Exposure>,
 }
 
 impl<'a> Judges<'a> {
-    fn of(scene: &'a Scene) -> Self {
+    fn of(scene: &'a Scene, exposure: Option<Exposure>) -> Self {
         match scene.test.is_empty() {
-            true => Self { views: &scene.train, name: "train" },
-            false => Self { views: &scene.test, name: "test" },
+            true => Self { views: &scene.train, name: "train", exposure },
+            false => Self { views: &scene.test, name: "test", exposure },
         }
     }
 
     fn scores(&self, device: &mut Device, settings: &RenderSettings) -> Result<Evaluation> {
-        Ok(evaluate_all(device, self.views, settings, None, None)?.scores)
+        let light = self.exposure.as_ref().map(Light::finished);
+        Ok(evaluate_all(device, self.views, settings, None, light)?.scores)
     }
 
     /// Fails where the splat is one of another scene: no photo supports any of it.
@@ -206,7 +210,9 @@ mod tests {
                 panic!("another command");
             };
             let told = told(&[Some(Unsupported::Near), None, Some(Unsupported::Once)]);
-            Judges { views: &[], name: "test" }.check(30.0, after, &told, &args).map_err(|e| e.to_string())
+            Judges { views: &[], name: "test", exposure: None }
+                .check(30.0, after, &told, &args)
+                .map_err(|e| e.to_string())
         };
         let words = "genesplat clean run --out a.ply";
         let sentence = checked(words, 29.9).unwrap_err();

@@ -23,8 +23,10 @@ pub(crate) fn check_name(out: &Path) -> Result<()> {
 pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     device::use_threads(args.splat.machine.threads)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on.background);
-    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos.asked()?)?;
+    let asked = args.splat.photos.asked()?;
+    let scene = splat.find_scene(args.data.as_deref(), &asked)?;
     let (settings, offset) = (splat.settings, splat.offset);
+    let exposure = scene.as_ref().and_then(|scene| splat.exposure(scene, &asked));
     let is_own = scene.as_ref().is_some_and(|scene| splat.began_with(scene));
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
     let spz = take_along::spz(&args.out, &splat.cloud, &settings)?;
@@ -43,7 +45,7 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
                 }
                 Ok((scores.psnr, sample))
             };
-            let loss = Sample::of(scene).map(before).transpose()?;
+            let loss = Sample::of(scene, exposure).map(before).transpose()?;
             (page, shots.len(), loss.map(|(before, sample)| (sample, before, backend)))
         }
         None => (take_along::page(&spz, &title, &splat.cloud, &settings, None, &[]), 0, None),

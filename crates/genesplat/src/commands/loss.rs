@@ -7,6 +7,7 @@ use genesplat::core::{Gaussians, RenderSettings, View};
 use genesplat::io::{Scene, plural};
 use genesplat::metrics::Evaluation;
 use genesplat::run::device::Device;
+use genesplat::run::exposure::{Exposure, Light};
 use genesplat::run::score::evaluate_all;
 use genesplat::terminal::output;
 
@@ -21,21 +22,24 @@ pub(super) const PHOTOS: NonZeroUsize = NonZeroUsize::new(8).expect("8 is not 0"
 pub(super) struct Sample {
     views: Vec<View>,
     is_test: bool,
+    /// If the run brought its photos to one.
+    exposure: Option<Exposure>,
 }
 
 impl Sample {
     /// `None` where there is no photo at all.
-    pub(super) fn of(scene: &Scene) -> Option<Self> {
+    pub(super) fn of(scene: &Scene, exposure: Option<Exposure>) -> Option<Self> {
         let is_test = !scene.test.is_empty();
         let views = if is_test { &scene.test } else { &scene.train };
         let step = views.len().div_ceil(PHOTOS.get()).max(1);
         let views: Vec<View> = views.iter().step_by(step).cloned().collect();
-        (!views.is_empty()).then_some(Self { views, is_test })
+        (!views.is_empty()).then_some(Self { views, is_test, exposure })
     }
 
     /// Of the cloud that `device` holds.
     pub(super) fn scores(&self, device: &mut Device, settings: &RenderSettings) -> Result<Evaluation> {
-        Ok(evaluate_all(device, &self.views, settings, None, None)?.scores)
+        let light = self.exposure.as_ref().map(Light::finished);
+        Ok(evaluate_all(device, &self.views, settings, None, light)?.scores)
     }
 
     /// How many of the photos are not those of the splat that has these scores.

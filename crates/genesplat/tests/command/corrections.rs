@@ -86,6 +86,10 @@ fn photos_of_other_exposure_are_brought_to_one_and_every_figure_is_named() {
     }
     assert!((number(&found["cc_psnr"]) - figure("test_cc_psnr")).abs() < 0.05);
     assert!((number(&found["psnr"]) - unseen).abs() < 0.05);
+    // What a format loses is told at the exposure of the photos.
+    let said = succeed(["convert", text(&first), text(&folder.path().join("a.spz"))]);
+    let before = format!("{:.2} before", figure("test_psnr_at_track_exposure"));
+    assert!(said.contains(&before), "{before}: {said}");
     succeed(train(&scene, &second, &["--iterations", "40", "--threads", "2"]));
     assert!(
         cloud(&first) == cloud(&second),
