@@ -91,8 +91,8 @@ pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError>
     is_small.then(|| photo.decode_on_black()).transpose()
 }
 
-/// A grey photo of `camera`, as a pinhole takes it, or the last of several; `None` where the lens cannot be undone, or the photo is
-/// larger than `side_max`.
+/// A grey photo of `camera`, as a pinhole takes it, or the last of several; `None` where the lens cannot be
+/// undone, or the photo is larger than `side_max`.
 pub fn undistorted(camera: &Intrinsics, side_max: u32) -> Option<Photo> {
     let Intrinsics { width, height, focal_px, principal_px, lens } = *camera;
     let lens = lens.filter(|_| width.max(height) <= side_max)?;

@@ -43,7 +43,7 @@ struct Table {
     write: fn(&[Part], &Path) -> Result<String>,
 }
 
-const TABLES: [Table; 19] = [
+const TABLES: [Table; 18] = [
     Table {
         name: "methods",
         file: "real-size",
@@ -77,7 +77,6 @@ const TABLES: [Table; 19] = [
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
     Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
     Table { name: "haste", file: SINGLE, part: |run| run.of("haste", Run::line), write: grid },
-    Table { name: "huber", file: SINGLE, part: |run| run.of("huber", Run::line), write: grid },
     Table { name: "few-photos", file: SINGLE, part: |run| run.of("few-photos", Run::line), write: grid },
     Table { name: "mcmc", file: SINGLE, part: |run| run.of("mcmc", Run::line), write: grid },
     Table { name: "selection", file: SINGLE, part: |run| run.of("selection", Run::line), write: grid },
