@@ -23,7 +23,8 @@ use genesplat_core::{Camera, Photo, View};
 use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::own;
 use genesplat_io::photos::{PhotoError, write_own_png};
-use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene, SceneDigests};
+use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene, SceneDigests, Sight};
+use glam::Vec3;
 use render::{RayCaster, rays_around, rays_of};
 
 /// How the gallery is photographed.
@@ -118,8 +119,11 @@ const MODEL: &str = "sparse/0";
 impl Gallery {
     /// As a scene, without files.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
-        let names = self.views.iter().map(|view| view.name.clone());
-        let seen = names.zip(self.seen).collect();
+        let sights = |(view, points): (&View, &Vec<u32>)| {
+            let sights = points.iter().map(|&point| self.sight(view, point)).collect();
+            (view.name.clone(), sights)
+        };
+        let seen = self.views.iter().zip(&self.seen).map(sights).collect();
         let (train, test) = hold_out.split(self.views);
         let digests = SceneDigests::of_views([&train, &test], &self.points);
         let (photos, notices) = (Vec::new(), Vec::new());
@@ -135,6 +139,12 @@ impl Gallery {
             notices,
             doubts: Vec::new(),
         }
+    }
+
+    fn sight(&self, view: &View, point: u32) -> Sight {
+        let position = Vec3::from(self.points[point as usize].position).as_dvec3();
+        let in_camera = view.camera.camera_from_world(position);
+        Sight { point, ray: Some([in_camera.x, in_camera.y].map(|along| (along / in_camera.z) as f32)) }
     }
 
     /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.

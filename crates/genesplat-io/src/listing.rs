@@ -17,7 +17,7 @@ use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::offset::Offset;
 use crate::photos::{Cut, Lens, PhotoError, part_names};
-use crate::scene::{Cube, Doubt, Point, mask_beside};
+use crate::scene::{Cube, Doubt, Point, Sight, mask_beside};
 use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending};
 use crate::{names, plural, shown};
 
@@ -85,8 +85,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) purpose: Purpose,
     /// A picture that is black where the photo does not count.
     pub(crate) mask: Option<PathBuf>,
-    /// The points that it sees, by their places, rising; none where that is not known or not asked for.
-    pub(crate) seen: Vec<u32>,
+    /// The points that it sees, in their order; none where that is not known or not asked for.
+    pub(crate) seen: Vec<Sight>,
     /// When it was taken, where other lenses of a rig took photos, too: they are held out with it.
     pub(crate) moment: Option<u32>,
 }

@@ -8,7 +8,8 @@ use std::time::Instant;
 use anyhow::ensure;
 use genesplat::core::{Gaussians, RenderSettings};
 use genesplat::io::{Scene, Spill};
-use genesplat::run::exposure::{self, Corrections, Exposure};
+use genesplat::run::corrected::{Asked, Corrected};
+use genesplat::run::exposure::Corrections;
 use genesplat::run::inputs::Inputs;
 use genesplat::run::reporter::{Companion, Reporter};
 use genesplat::run::session::{Caller, RunSession};
@@ -165,13 +166,13 @@ impl Plan {
         );
         overwrite::check_apart(&self.config.dataset.path, out)?;
         let mut session = RunSession::claim(out, Caller::Train, resumes)?;
-        let (scene, exposure) = self.exposed(out, resumes)?;
+        let (scene, corrected) = self.corrected(out, resumes, stop)?;
         let lpips = lpips::open(&lpips::Asked::default())?;
         let settings = self.config()?.resolve(Machine::default())?;
         let run = Run {
             settings: &settings,
             scene: &scene,
-            exposure: exposure.as_ref(),
+            corrected: &corrected,
             lpips: lpips.as_ref(),
             stop,
             page: None,
@@ -214,18 +215,19 @@ impl Plan {
         Ok(scene.into())
     }
 
-    /// The same with its training photos at one exposure, where that is asked for.
-    fn exposed(&self, out: &Path, resumes: bool) -> anyhow::Result<(Arc<Scene>, Option<Exposure>)> {
-        let scene = self.with_far_points()?;
-        let background = self.config.train.background.fixed_colour();
-        let exposure = match resumes {
-            true => Inputs::of_checkpoint(out)?.exposure,
-            false => exposure::decide(&scene, self.config.corrections(), background)?,
-        };
-        let Some(exposure) = exposure else { return Ok((scene, None)) };
-        let mut scene = Scene::clone(&scene);
-        exposure.bring(&mut scene, Some(&spill()))?;
-        Ok((scene.into(), Some(exposure)))
+    /// The same, put right where that is asked for.
+    fn corrected(&self, out: &Path, resumes: bool, stop: &AtomicBool) -> anyhow::Result<(Scene, Corrected)> {
+        // Photos are shared.
+        let (mut scene, spill) = (Arc::unwrap_or_clone(self.with_far_points()?), spill());
+        if resumes {
+            let corrected = Corrected::again(Inputs::of_checkpoint(out)?, &mut scene, Some(&spill))?;
+            return Ok((scene, corrected));
+        }
+        let (corrections, train) = (self.config.corrections(), &self.config.train);
+        let asked = Asked { corrections, train, spill: Some(&spill), stop };
+        let open = || device::open(self.config.clone().resolve(Machine::default())?.device);
+        let corrected = Corrected::of(&mut scene, &asked, open)?;
+        Ok((scene, corrected))
     }
 }
 

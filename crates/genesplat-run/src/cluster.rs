@@ -12,8 +12,8 @@ use genesplat_cluster::{ClusterBackend, Group};
 use genesplat_core::{Alone, BackendError, Device, RowOwners};
 use genesplat_io::Scene;
 
+use crate::corrected::Corrected;
 use crate::digest::{PARTS, digests};
-use crate::exposure::Exposure;
 use crate::numbers::memory as of_memory;
 use crate::output;
 use crate::settings::Settings;
@@ -97,8 +97,8 @@ impl Cluster {
     }
 
     /// Fails where a rank has loaded other things than rank 0: each would train its rows of another run.
-    pub fn check_alike(&self, settings: &Settings, scene: &Scene, exposure: Option<&Exposure>) -> Result<()> {
-        let bytes = digests(settings, scene, exposure).map(|digest| digest.bytes());
+    pub fn check_alike(&self, settings: &Settings, scene: &Scene, corrected: &Corrected) -> Result<()> {
+        let bytes = digests(settings, scene, corrected).map(|digest| digest.bytes());
         let words = bytes.as_flattened().as_chunks().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
         let parts = self.group.gather(Ok(words))?;
         let of = |rank: usize, part: usize| &parts[rank][DIGEST_WORDS * part..][..DIGEST_WORDS];

@@ -2,7 +2,7 @@
 
 use genesplat_io::{Digest, PhotoDigests, Scene};
 
-use crate::exposure::Exposure;
+use crate::corrected::Corrected;
 use crate::inputs::Inputs;
 use crate::settings::Settings;
 
@@ -12,21 +12,19 @@ pub(crate) const PARTS: [&str; 6] = [
     "other settings",
     "other cameras or points",
     "other photos",
-    "photos of another exposure",
+    "photos of another exposure, or cameras elsewhere",
     "another offset of coordinates",
 ];
 
 /// A digest of each of [`PARTS`], of what a run keeps to know its inputs again.
-pub(crate) fn digests(
-    settings: &Settings,
-    scene: &Scene,
-    exposure: Option<&Exposure>,
-) -> [Digest; PARTS.len()] {
-    let Inputs { settings: of_result, scene, exposure, .. } = Inputs::of(settings, scene, exposure);
+pub(crate) fn digests(settings: &Settings, scene: &Scene, corrected: &Corrected) -> [Digest; PARTS.len()] {
+    let Inputs { settings: of_result, scene, exposure, cameras, .. } = Inputs::of(settings, scene, corrected);
     let gains = exposure.into_iter().flat_map(|exposure| {
         let of_photos = exposure.photos.into_values().flatten().chain(exposure.contrasts.into_values());
         of_photos.chain([exposure.dark, exposure.fall_off, exposure.plain_corners.len() as f32])
     });
+    let motions = cameras.into_iter().flat_map(|cameras| cameras.photos.into_values());
+    let motions = motions.flat_map(|motion| motion.turn.into_iter().chain(motion.shift));
     let checkpoint_every = settings.schedule.config().checkpoint_every;
     let of_photos =
         |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
@@ -43,7 +41,7 @@ pub(crate) fn digests(
         format!("{of_result}\n{checkpoint_every}").into_bytes(),
         [of_photos(&camera), points].concat(),
         of_photos(&photo),
-        gains.flat_map(f32::to_le_bytes).collect(),
+        gains.flat_map(f32::to_le_bytes).chain(motions.flat_map(f64::to_le_bytes)).collect(),
         offset,
     ]
     .map(|part| Digest::of(&part))
@@ -57,6 +55,7 @@ mod tests {
     use genesplat_io::HoldOut;
 
     use super::*;
+    use crate::exposure::Exposure;
     use crate::settings::{ConfigFile, Machine};
     use crate::small_scene;
 
@@ -69,7 +68,7 @@ mod tests {
                 change(&mut config, &mut gallery);
             }
             let scene = gallery.into_scene(HoldOut::EveryEighth);
-            digests(&config.resolve(Machine::default()).unwrap(), &scene, None)
+            digests(&config.resolve(Machine::default()).unwrap(), &scene, &Corrected::default())
         };
         let [before, after] = [false, true].map(of);
         (0..PARTS.len()).filter(|&part| before[part] != after[part]).collect()
@@ -99,7 +98,7 @@ mod tests {
         let of = |offset| {
             let mut scene = small_scene::gallery().into_scene(HoldOut::EveryEighth);
             scene.digests.offset = offset;
-            digests(&settings, &scene, None)
+            digests(&settings, &scene, &Corrected::default())
         };
         let (near, far) = (of(None), of(Some([500_000.0, 0.0, 0.0])));
         assert!(near[..5] == far[..5] && near[5] != far[5] && far != of(Some([0.0, 500_000.0, 0.0])));
@@ -112,19 +111,16 @@ mod tests {
         let settings = settings.resolve(Machine::default()).unwrap();
         let of = |gain: f32| {
             let photos = [("gallery_001.png".to_owned(), [gain, 1.0, 1.0])].into();
-            digests(
-                &settings,
-                &scene,
-                Some(&Exposure {
-                    stops: 0.5,
-                    explained: 0.3,
-                    photos,
-                    contrasts: [].into(),
-                    dark: 0.8,
-                    fall_off: 0.0,
-                    plain_corners: [].into(),
-                }),
-            )
+            let exposure = Some(Exposure {
+                stops: 0.5,
+                explained: 0.3,
+                photos,
+                contrasts: [].into(),
+                dark: 0.8,
+                fall_off: 0.0,
+                plain_corners: [].into(),
+            });
+            digests(&settings, &scene, &Corrected { exposure, cameras: None })
         };
         let (one, other) = (of(1.1), of(1.2));
         assert!(one[..4] == other[..4] && one[4] != other[4] && one == of(1.1));

@@ -14,6 +14,8 @@ use serde::{Deserialize, Serialize};
 
 use super::session::Caller;
 use super::{CHECKPOINT, CONFIG, INPUTS, photos};
+use crate::cameras::Cameras;
+use crate::corrected::Corrected;
 use crate::exposure::Exposure;
 use crate::output;
 use crate::settings::{Settings, difference_of_results};
@@ -28,17 +30,20 @@ pub struct Inputs {
     /// That of its photos, where they were brought to one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<Exposure>,
+    /// How its cameras were moved, where they were.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cameras: Option<Cameras>,
     /// What has changed meanwhile, and was accepted when the run was resumed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     accepted: Vec<String>,
 }
 
 impl Inputs {
-    /// Those of a run with these settings on `scene`, whose training photos were brought to one exposure
-    /// where there is an `exposure`.
-    pub fn of(settings: &Settings, scene: &Scene, exposure: Option<&Exposure>) -> Self {
+    /// Those of a run with these settings on `scene`, of which this was put right.
+    pub fn of(settings: &Settings, scene: &Scene, corrected: &Corrected) -> Self {
         let (settings, scene) = (settings.of_result(), scene.digests.clone());
-        Self { settings, scene, exposure: exposure.cloned(), accepted: Vec::new() }
+        let Corrected { cameras, exposure } = corrected.clone();
+        Self { settings, scene, exposure, cameras, accepted: Vec::new() }
     }
 
     /// As `inputs.json` holds it.
@@ -119,8 +124,8 @@ pub fn check_goes_on(
         );
     }
     ensure!(
-        began.exposure == now.exposure,
-        "the run in {} began with photos of another exposure; {}",
+        began.exposure == now.exposure && began.cameras == now.cameras,
+        "the run in {} began with photos of another exposure, or with cameras elsewhere; {}",
         shown(folder),
         advice(caller)
     );
@@ -335,7 +340,7 @@ mod tests {
         };
         for exposure in [None, Some(exposure)] {
             let (settings, scene) = ("seed = 1".into(), digests());
-            let inputs = Inputs { settings, scene, exposure, accepted: Vec::new() };
+            let inputs = Inputs { settings, scene, exposure, cameras: None, accepted: Vec::new() };
             fs::write(folder.path().join(INPUTS), inputs.to_json()).unwrap();
             assert_eq!(Inputs::read(folder.path()).unwrap(), Some(inputs));
         }

@@ -13,6 +13,7 @@
 //! | `tensorboard/events.out.tfevents.genesplat` | its curves for TensorBoard, where they were asked for |
 //! | `point_cloud.ply` | the splat, in the layout that every viewer opens |
 //! | `point_cloud_fused.ply` | Mip-Splatting: the same with its 3D filter baked in, for viewers that do not know it |
+//! | `cameras/*.bin` | COLMAP's model with the cameras that were moved, where some were |
 //! | `test/NAME.png` | renders of the photos that training never saw |
 //! | `metrics.json` | the figures |
 //! | `report.html` | all of it, to look at |
@@ -24,7 +25,9 @@
 //! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves
 //! what was there before.
 
+pub mod cameras;
 pub mod cluster;
+pub mod corrected;
 pub mod cost;
 pub mod device;
 mod digest;
@@ -85,6 +88,8 @@ pub const CLOUD: &str = "point_cloud.ply";
 pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 /// The folder of renders of test photos.
 pub const TEST: &str = "test";
+/// The folder of COLMAP's model with the cameras that were moved.
+pub(crate) const CAMERAS: &str = "cameras";
 /// The folder of splats that the live page had saved.
 pub(crate) const SNAPSHOTS: &str = "snapshots";
 /// The folder of [`CHECKPOINT`].
@@ -93,8 +98,21 @@ pub(crate) const CHECKPOINTS: &str = "checkpoint";
 pub const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
-const RESULTS: [&str; 10] =
-    [METRICS, INPUTS, CLOUD, OFFSET, FUSED_CLOUD, FUSED_OFFSET, LOG, EVENTS, REPORT, CHECKPOINT];
+const RESULTS: [&str; 13] = [
+    METRICS,
+    INPUTS,
+    CLOUD,
+    OFFSET,
+    FUSED_CLOUD,
+    FUSED_OFFSET,
+    LOG,
+    EVENTS,
+    REPORT,
+    CHECKPOINT,
+    "cameras/cameras.bin",
+    "cameras/images.bin",
+    "cameras/points3D.bin",
+];
 
 /// The folders of a run in which files are written whole.
-pub const FOLDERS: [&str; 3] = [CHECKPOINTS, TEST, SNAPSHOTS];
+pub const FOLDERS: [&str; 4] = [CHECKPOINTS, TEST, SNAPSHOTS, CAMERAS];

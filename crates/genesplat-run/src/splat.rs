@@ -11,11 +11,12 @@ use anyhow::{Result, bail, ensure};
 use genesplat_core::{Camera, Gaussians, RenderSettings, ScreenFilter, median};
 use genesplat_io::format::{self, Format, Loaded};
 use genesplat_io::{
-    FormatError, LoadOptions, MaskUse, Offset, Scene, SceneDigests, SceneError, command_line, list_scene,
-    offset, shown,
+    FormatError, LoadOptions, MaskUse, Offset, PhotoDigests, Scene, SceneDigests, SceneError, command_line,
+    list_scene, offset, shown,
 };
 use genesplat_train::Background;
 
+use crate::cameras::Cameras;
 use crate::exposure::Exposure;
 use crate::files::{remove_if_there, write_file};
 use crate::inputs::{Inputs, notice_changes};
@@ -93,7 +94,7 @@ impl Splat {
     fn load(&self, data: &Path, asked: &PhotosAsked, most: Option<NonZeroUsize>) -> Result<Scene> {
         let (dataset, divisor) = self.dataset(data, asked)?;
         let load = |offset| scene::load_to_look(&dataset, divisor, self.settings.background, offset, most);
-        let scene = match load(self.frame().or(Some(Offset::default()))) {
+        let mut scene = match load(self.frame().or(Some(Offset::default()))) {
             Err(error) if self.frame().is_none() && is_far(&error) => load(None),
             loaded => loaded,
         }?;
@@ -102,6 +103,9 @@ impl Splat {
         began_with
             .into_iter()
             .for_each(|(folder, began)| notice_changes(&began.scene, folder, &scene.digests, &scene.name));
+        if let Some(cameras) = self.moved_cameras(&scene, asked) {
+            cameras.apply(&mut scene);
+        }
         Ok(scene)
     }
 
@@ -128,6 +132,20 @@ impl Splat {
         let is_known =
             |name: &str| asked.images.is_some() || digest(&began.scene, name) == digest(&scene.digests, name);
         Some(began.exposure.as_ref()?.only(is_known))
+    }
+
+    /// How its run moved the cameras of those photos of `scene` that it began with, and that stand where they
+    /// stood then.
+    fn moved_cameras(&self, scene: &Scene, asked: &PhotosAsked) -> Option<Cameras> {
+        let (_, began) = self.began_with.as_ref()?;
+        let is_known = |name: &str| {
+            let [then, now] = [&began.scene, &scene.digests].map(|of| of.photo(name));
+            let is_same = |(then, now): (&PhotoDigests, &PhotoDigests)| {
+                then.pose == now.pose && (asked.images.is_some() || then.photo == now.photo)
+            };
+            then.zip(now).is_some_and(is_same)
+        };
+        Some(began.cameras.as_ref()?.only(is_known))
     }
 
     /// Whether it is that of a run which began with a photo of this scene.

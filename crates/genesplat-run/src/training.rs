@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat_core::View;
 use genesplat_core::device::copy_of;
-use genesplat_io::{Scene, command_line, shown};
+use genesplat_io::{LoadOptions, Scene, command_line, shown};
 use genesplat_metrics::{Evaluation, Lpips};
 use genesplat_train::scene::initialise::scene_extent;
 use genesplat_train::{Checkpoint, GrowthToCome, Outcome, RunSummary, Start, train};
@@ -19,8 +19,10 @@ use super::metrics::{ExposureFigures, Metrics, PhaseSeconds};
 use super::session::{Caller, RunSession, read_checkpoint};
 use super::tensorboard::TensorBoard;
 use super::test_curve::TestCurve;
-use super::{CONFIG, LOG, TEST, failure, inputs, memory};
+use super::{CAMERAS, CONFIG, LOG, TEST, failure, inputs, memory};
+use crate::cameras::Cameras;
 use crate::cluster::Cluster;
+use crate::corrected::Corrected;
 use crate::device::Device;
 use crate::edited::EditedFile;
 use crate::exposure::{Exposure, Light};
@@ -41,8 +43,8 @@ pub struct Run<'a> {
     pub settings: &'a Settings,
     /// What it is trained on.
     pub scene: &'a Scene,
-    /// That to which its training photos have been brought, if they have.
-    pub exposure: Option<&'a Exposure>,
+    /// What of it was put right.
+    pub corrected: &'a Corrected,
     /// What LPIPS is measured with, if it is.
     pub lpips: Option<&'a Lpips>,
     /// Set by Ctrl-C and SIGTERM.
@@ -86,7 +88,7 @@ impl Run<'_> {
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
             return Ok((Ended::NotBegun, None));
         }
-        let page = |address| live::of_training(address, self.scene, self.exposure);
+        let page = |address| live::of_training(address, self.scene, self.exposure());
         let mut live = self.page.map(page).transpose()?;
         let load = self.began.elapsed().as_secs_f64();
         let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
@@ -116,17 +118,21 @@ impl Run<'_> {
 
     /// By what factor the mean exposure is brighter than the cloud under training.
     fn brightness(&self) -> f32 {
-        self.exposure.map_or(1.0, Exposure::brightness)
+        self.exposure().map_or(1.0, Exposure::brightness)
+    }
+
+    fn exposure(&self) -> Option<&Exposure> {
+        self.corrected.exposure.as_ref()
     }
 
     /// The exposure that test photos are expected to have.
     fn foretold(&self) -> Option<Exposure> {
-        self.exposure.map(|exposure| exposure.foretold(&self.scene.train, &self.scene.test))
+        self.exposure().map(|exposure| exposure.foretold(&self.scene.train, &self.scene.test))
     }
 
     fn check(&self, session: &mut RunSession) -> Result<Device> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
-        let mut now = Inputs::of(self.settings, self.scene, self.exposure);
+        let mut now = Inputs::of(self.settings, self.scene, self.corrected);
         if session.resumes() {
             let (name, caller) = (&self.scene.name, session.caller());
             inputs::check_goes_on(session.path(), &mut now, name, caller, self.accepts_changes)?;
@@ -147,9 +153,18 @@ impl Run<'_> {
 
     fn open_log(&self, session: &mut RunSession) -> Result<Log> {
         session.begin(&self.settings.to_toml())?;
+        self.write_cameras(session.path())?;
         let curves =
             self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
         Ok(Log::open(session.path(), session.resumes())?.with_curves(curves))
+    }
+
+    /// Those that were moved, for other programs.
+    fn write_cameras(&self, folder: &Path) -> Result<()> {
+        let Some(cameras) = &self.corrected.cameras else { return Ok(()) };
+        let (dataset, offset) = (&self.settings.dataset, self.scene.digests.offset);
+        let options = LoadOptions { offset, with_points: false, ..dataset.options() };
+        cameras.write((folder, Path::new(CAMERAS)), &dataset.path, &options, &self.scene.points)
     }
 
     fn train(
@@ -168,7 +183,7 @@ impl Run<'_> {
         let Self { settings, scene, stop, .. } = *self;
         let schedule = &settings.schedule;
         let foretold = self.foretold();
-        let light = self.exposure.map(|exposure| Light::finished(exposure).foretelling(foretold.as_ref()));
+        let light = self.exposure().map(|exposure| Light::finished(exposure).foretelling(foretold.as_ref()));
         let curve = TestCurve::new(&scene.test, light, schedule.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
         let brightness = self.brightness();
@@ -245,7 +260,7 @@ impl Run<'_> {
             seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
-            exposure: self.exposure.map(|exposure| ExposureFigures::of(exposure, &test)),
+            exposure: self.exposure().map(|exposure| ExposureFigures::of(exposure, &test)),
             test: test.scores,
             train,
             seconds,
@@ -265,7 +280,8 @@ impl Run<'_> {
             }
             curves.notices.push(notice);
         }
-        curves.notices.extend(self.exposure.map(Exposure::told));
+        curves.notices.extend(self.corrected.cameras.as_ref().map(Cameras::told));
+        curves.notices.extend(self.exposure().map(Exposure::told));
         let page = self.report(session.path(), metrics, curves)?;
         session.write_results(&page, metrics)
     }
@@ -287,7 +303,7 @@ impl Run<'_> {
         };
         let settings = self.settings.schedule.render_settings();
         let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
-        let (foretold, light) = (self.foretold(), self.exposure.map(Light::in_training));
+        let (foretold, light) = (self.foretold(), self.exposure().map(Light::in_training));
         let mut score = |views: &[View], light: Option<Light<'_>>, folder: Option<&Path>| {
             let bar = bar("scores", 0, views.len() as u64);
             evaluate_until(stop, device, views, &settings, (lpips, light), folder, bar)

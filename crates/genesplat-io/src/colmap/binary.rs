@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::check::{self, Finite, Judged};
 use super::cursor::Cursor;
-use super::tracks::Tracks;
+use super::tracks::{Features, Tracks};
 use super::{ImageRecord, models};
 use crate::error::SceneError;
 use crate::offset::Offset;
@@ -63,8 +63,33 @@ pub(super) fn photo_ids(file: &Path, bytes: &[u8]) -> Result<Vec<(u32, String)>,
     (0..count).map(|_| image(&mut cursor).map(|(id, image)| (id, image.name))).collect()
 }
 
+/// The features of the photos in `images.bin`.
+pub(super) fn features(file: &Path, bytes: &[u8]) -> Result<Features, SceneError> {
+    const RECORD: &str = "a photo's features";
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("photos", IMAGE_BYTES)?;
+    let mut of_photos = Features::new();
+    for _ in 0..count {
+        let (id, _, features) = image_and_features(&mut cursor)?;
+        let mut feature = || {
+            let [x, y] = cursor.f64s::<2>(RECORD)?;
+            cursor.u64(RECORD)?;
+            Ok([x as f32, y as f32])
+        };
+        of_photos.insert(id, (0..features).map(|_| feature()).collect::<Result<_, SceneError>>()?);
+    }
+    Ok(of_photos)
+}
+
 /// With its id.
 fn image(cursor: &mut Cursor) -> Result<(u32, ImageRecord), SceneError> {
+    let (id, image, features) = image_and_features(cursor)?;
+    cursor.skip("a photo's features", features, FEATURE_BYTES)?;
+    Ok((id, image))
+}
+
+/// A photo up to its features, with its id, and how many these are.
+fn image_and_features(cursor: &mut Cursor) -> Result<(u32, ImageRecord, usize), SceneError> {
     const RECORD: &str = "a photo's pose";
     let id = cursor.i32(RECORD)? as u32;
     let rotation = cursor.f64s(RECORD)?;
@@ -72,8 +97,7 @@ fn image(cursor: &mut Cursor) -> Result<(u32, ImageRecord), SceneError> {
     let camera = cursor.i32(RECORD)? as u32;
     let name = cursor.text("a photo's name")?.to_owned();
     let features = cursor.count("image features", FEATURE_BYTES)?;
-    cursor.skip("a photo's features", features, FEATURE_BYTES)?;
-    Ok((id, ImageRecord { name, camera, rotation, translation }))
+    Ok((id, ImageRecord { name, camera, rotation, translation }, features))
 }
 
 pub(super) fn points(file: &Path, bytes: &[u8], offset: Offset) -> Result<Finite<Point>, SceneError> {
@@ -108,8 +132,7 @@ pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
     for _ in 0..count {
         let (position, _, features) = point_and_features(&mut cursor)?;
         for _ in 0..features {
-            tracks.push_photo(cursor.i32(RECORD)? as u32);
-            cursor.i32(RECORD)?;
+            tracks.push(cursor.i32(RECORD)? as u32, cursor.i32(RECORD)? as u32);
         }
         tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
     }

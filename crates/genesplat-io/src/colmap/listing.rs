@@ -8,7 +8,7 @@ use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
 use super::frames::read_moments;
-use super::tracks::read_seen;
+use super::tracks::{Seen, read_seen};
 use super::{
     Finite, ImageRecord, Model, ModelFolder, has_points, part_models, points_file, read_photos, read_points,
 };
@@ -18,6 +18,7 @@ use crate::listing::{
     left_out, no_photos, separate, similar_notice,
 };
 use crate::photos::Lens;
+use crate::scene::Sight;
 use crate::scene::precision::move_cameras;
 use crate::shown;
 use crate::similar::{self, Similar, entries};
@@ -73,7 +74,8 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
-        let (seen, moment) = (seen.remove(&name).unwrap_or_default(), moments.remove(&name));
+        let seen = sights(&seen.remove(&name).unwrap_or_default(), &camera, lens.as_ref());
+        let moment = moments.remove(&name);
         Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None, seen, moment })
     };
     let mut photos = photos.into_iter().map(listed).collect::<Result<Vec<_>, SceneError>>()?;
@@ -83,6 +85,18 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
     let (points, points_digest, points_file) = (points.records, None, points_file(folder));
     let has_points = if wanted.points { !points.is_empty() } else { has_points(&points_file) };
     Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts, moved })
+}
+
+/// What a photo by `camera` sees, without the lens.
+fn sights(seen: &[Seen], camera: &Camera, lens: Option<&Lens>) -> Vec<Sight> {
+    let ray = |[x, y]: [f32; 2]| {
+        let at =
+            |pixel: f32, axis: usize| (f64::from(pixel) - camera.principal_px[axis]) / camera.focal_px[axis];
+        let shown = [at(x, 0), at(y, 1)];
+        let straight = lens.map_or(Some(shown), |lens| lens.undistort(shown))?;
+        Some(straight.map(|coordinate| coordinate as f32)).filter(|ray| ray.iter().all(|at| at.is_finite()))
+    };
+    seen.iter().map(|&(point, pixel)| Sight { point, ray: pixel.and_then(ray) }).collect()
 }
 
 /// What is known of photos, by their names as they are here.

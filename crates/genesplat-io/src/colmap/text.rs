@@ -5,7 +5,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::check::{self, Finite, Judged};
-use super::tracks::Tracks;
+use super::tracks::{Features, Tracks};
 use super::{ImageRecord, models};
 use crate::error::SceneError;
 use crate::offset::Offset;
@@ -127,16 +127,39 @@ fn each_image<'a>(
     Ok(std::iter::from_fn(move || {
         let line = lines.find(|line| !line.text.trim().is_empty())?;
         let image = image(line);
-        Some(lines.next().map_or(Ok(()), features).and(image))
+        Some(lines.next().map_or(Ok(()), check_features).and(image))
     }))
 }
 
 /// Numbers in threes, or nothing: in a file without these lines, every other photo would be lost silently.
-fn features(line: Line) -> Result<(), SceneError> {
+fn check_features(line: Line) -> Result<(), SceneError> {
     let mut count = 0;
     let mut words = line.text.split_whitespace().inspect(|_| count += 1);
     let are_numbers = words.all(|word| number(word).is_some());
     (are_numbers && count % 3 == 0).then_some(()).ok_or_else(|| line.error(FEATURES))
+}
+
+/// The features of the photos in `images.txt`, by their ids.
+pub(super) fn features(file: &Path, bytes: &[u8]) -> Result<Features, SceneError> {
+    let mut lines = lines(file, bytes)?;
+    let mut of_photos = Features::new();
+    while let Some(line) = lines.find(|line| !line.text.trim().is_empty()) {
+        let id = line.fields(IMAGE).next::<u64>()?;
+        let features = lines.next().map_or(Ok(Vec::new()), features_in)?;
+        of_photos.extend(u32::try_from(id).ok().map(|id| (id, features)));
+    }
+    Ok(of_photos)
+}
+
+fn features_in(line: Line) -> Result<Vec<[f32; 2]>, SceneError> {
+    let mut fields = line.fields(FEATURES);
+    let mut found = Vec::new();
+    while let Some(x) = fields.words.next() {
+        let x = number(x).ok_or_else(|| line.error(FEATURES))?;
+        let [y, _] = fields.numbers()?;
+        found.push([x as f32, y as f32]);
+    }
+    Ok(found)
 }
 
 fn image(line: Line) -> Result<(u64, ImageRecord), SceneError> {
@@ -183,9 +206,9 @@ pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
         let (position, _, mut fields) = point_and_rest(line)?;
         fields.words.next();
         while let Some(photo) = fields.words.next() {
-            tracks.push_photo(photo.parse().map_err(|_| line.error(TRACK))?);
+            let photo = photo.parse().map_err(|_| line.error(TRACK))?;
             fields.expected = TRACK;
-            fields.next::<u32>()?;
+            tracks.push(photo, fields.next()?);
         }
         tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
     }

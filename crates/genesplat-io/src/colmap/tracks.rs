@@ -1,8 +1,9 @@
-//! Which photos see the points of a model: COLMAP's tracks, for who asks.
+//! Which photos see the points of a model, and where: COLMAP's tracks and features, for who asks.
 //!
 //! They are read apart from the points, since most who load a scene need none, and they are the larger part.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 
 use super::{Form, ModelFolder, binary, points_file, read, text};
@@ -16,12 +17,22 @@ pub(crate) struct Tracks {
     /// Where the photos of each point end.
     ends: Vec<usize>,
     photos: Vec<u32>,
+    /// Which feature of the photo each is.
+    features: Vec<u32>,
 }
 
+/// A point that a photo sees, by its place, and where the photo shows it, px of the listed camera; `None`
+/// where the model does not say.
+pub(super) type Seen = (u32, Option<[f32; 2]>);
+
+/// The features of photos, px from the top-left corner, by the photos' ids.
+pub(super) type Features = BTreeMap<u32, Vec<[f32; 2]>>;
+
 impl Tracks {
-    /// Adds the photo of one feature of the next point.
-    pub(super) fn push_photo(&mut self, id: u32) {
-        self.photos.push(id);
+    /// Adds one feature of the next point: of which photo, and which of its features.
+    pub(super) fn push(&mut self, photo: u32, feature: u32) {
+        self.photos.push(photo);
+        self.features.push(feature);
     }
 
     /// The next point has all of its photos; or they are dropped with it.
@@ -29,25 +40,33 @@ impl Tracks {
         if is_kept {
             self.ends.push(self.photos.len());
         } else {
-            self.photos.truncate(self.ends.last().copied().unwrap_or(0));
+            let end = self.ends.last().copied().unwrap_or(0);
+            self.photos.truncate(end);
+            self.features.truncate(end);
         }
     }
 
     /// Of each point, the photos of its features.
     pub(crate) fn points(&self) -> impl Iterator<Item = &[u32]> {
-        let starts = std::iter::once(0).chain(self.ends.iter().copied());
-        starts.zip(&self.ends).map(|(start, &end)| &self.photos[start..end])
+        self.ranges().map(|of_point| &self.photos[of_point])
     }
 
-    /// The points that each photo sees, by its id: their places, rising.
-    fn by_photo(&self) -> BTreeMap<u32, Vec<u32>> {
-        let mut seen: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-        for (point, photos) in (0u32..).zip(self.points()) {
-            for &photo in photos {
-                let points = seen.entry(photo).or_default();
+    /// Where the features of each point are.
+    fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(&self.ends).map(|(start, &end)| start..end)
+    }
+
+    /// The points that each photo sees, by its id: their places, rising, and where it shows them.
+    fn by_photo(&self, features: &Features) -> BTreeMap<u32, Vec<Seen>> {
+        let mut seen: BTreeMap<u32, Vec<Seen>> = BTreeMap::new();
+        for (point, of_point) in (0u32..).zip(self.ranges()) {
+            for (photo, feature) in self.photos[of_point.clone()].iter().zip(&self.features[of_point]) {
+                let points = seen.entry(*photo).or_default();
                 // A photo may have two features of a point.
-                if points.last() != Some(&point) {
-                    points.push(point);
+                if points.last().is_none_or(|(last, _)| *last != point) {
+                    let at = features.get(photo).and_then(|features| features.get(*feature as usize));
+                    points.push((point, at.copied()));
                 }
             }
         }
@@ -57,7 +76,7 @@ impl Tracks {
 
 /// The points that each photo of the model in `folder` sees, by the name that the model gives the photo:
 /// their places among the points that [`super::read_model`] reads, rising. Empty where the model does not say.
-pub(super) fn read_seen(folder: &ModelFolder) -> Result<BTreeMap<String, Vec<u32>>, SceneError> {
+pub(super) fn read_seen(folder: &ModelFolder) -> Result<BTreeMap<String, Vec<Seen>>, SceneError> {
     let points = points_file(folder);
     let form = match points.extension().and_then(|ending| ending.to_str()) {
         Some("bin") => Form::Binary,
@@ -68,8 +87,10 @@ pub(super) fn read_seen(folder: &ModelFolder) -> Result<BTreeMap<String, Vec<u32
         return Ok(BTreeMap::new());
     }
     let images = folder.form.file(&folder.path, "images");
-    let names = parse_photo_ids(folder.form, &images, &read(&images)?)?;
-    let mut seen = parse_tracks(form, &points, &read(&points)?)?.by_photo();
+    let bytes = read(&images)?;
+    let names = parse_photo_ids(folder.form, &images, &bytes)?;
+    let features = parse_features(folder.form, &images, &bytes)?;
+    let mut seen = parse_tracks(form, &points, &read(&points)?)?.by_photo(&features);
     Ok(names.into_iter().filter_map(|(id, name)| Some((name, seen.remove(&id)?))).collect())
 }
 
@@ -91,6 +112,14 @@ pub(super) fn parse_photo_ids(
     Ok(names.into_iter().filter_map(|(id, name)| Some((id, name?))).collect())
 }
 
+/// The features of the photos in the `bytes` of `file`.
+pub(crate) fn parse_features(form: Form, file: &Path, bytes: &[u8]) -> Result<Features, SceneError> {
+    match form {
+        Form::Binary => binary::features(file, bytes),
+        Form::Text => text::features(file, &input::as_utf8(bytes)),
+    }
+}
+
 /// The tracks of the points in the `bytes` of `file`.
 pub(crate) fn parse_tracks(form: Form, file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
     match form {
@@ -107,11 +136,13 @@ mod tests {
     fn photos_know_their_points_once_and_dropped_points_have_none() {
         let mut tracks = Tracks::default();
         for (photos, is_kept) in [(&[7, 9, 7][..], true), (&[7], false), (&[], true), (&[9], true)] {
-            photos.iter().for_each(|&photo| tracks.push_photo(photo));
+            (0..).zip(photos).for_each(|(feature, &photo)| tracks.push(photo, feature));
             tracks.end_point(is_kept);
         }
         assert_eq!(tracks.points().collect::<Vec<_>>(), [&[7, 9, 7][..], &[], &[9]]);
-        assert_eq!(tracks.by_photo(), [(7, vec![0]), (9, vec![0, 2])].into());
+        let features = [(7, vec![[0.5, 1.5]]), (9, vec![[2.5, 3.5]])].into();
+        let by_photo = [(7, vec![(0, Some([0.5, 1.5]))]), (9, vec![(0, None), (2, Some([2.5, 3.5]))])];
+        assert_eq!(tracks.by_photo(&features), by_photo.into());
     }
 
     #[test]

@@ -52,6 +52,16 @@ pub struct Point {
     pub rgb: [u8; 3],
 }
 
+/// A point that a photo sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Its place in [`Scene::points`].
+    pub point: u32,
+    /// Where the photo shows it: `x / z` and `y / z` along the axes of its camera, whatever its lens; `None`
+    /// where that is not known.
+    pub ray: Option<[f32; 2]>,
+}
+
 /// Photos with cameras, split for training and testing, and the points to start from.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -63,9 +73,9 @@ pub struct Scene {
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
-    /// The points that each photo sees, by the name of its view: their places in `points`, rising. Empty
-    /// where that is not known (COLMAP's tracks say it) or not asked for.
-    pub seen: BTreeMap<String, Vec<u32>>,
+    /// The points that each photo sees, by its name, in their order. Empty where that is not known (COLMAP's
+    /// tracks say it) or not asked for.
+    pub seen: BTreeMap<String, Vec<Sight>>,
     /// The photo that a view is a part of, by the view's name: photos that show more than a pinhole can are
     /// cut into several views. Other views have the names of their photos.
     pub whole: BTreeMap<String, String>,
@@ -233,7 +243,7 @@ fn whole(photos: &OfParts<Loaded>) -> BTreeMap<String, String> {
 }
 
 /// The points that each of these photos sees, taken out of them.
-fn seen(photos: [&mut [ListedPhoto]; 2]) -> BTreeMap<String, Vec<u32>> {
+fn seen(photos: [&mut [ListedPhoto]; 2]) -> BTreeMap<String, Vec<Sight>> {
     let of_photo = |photo: &mut ListedPhoto| (photo.name.clone(), std::mem::take(&mut photo.seen));
     let all = photos.into_iter().flatten().map(of_photo);
     all.filter(|(_, points)| !points.is_empty()).collect()

@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use genesplat::io::{Scene, shown};
+use genesplat::run::corrected::Corrected;
 use genesplat::run::metrics::Metrics;
 use genesplat::run::numbers::thousands;
 use genesplat::run::session::{Caller, RunSession};
@@ -136,7 +137,7 @@ impl Study<'_> {
         let run = Run {
             settings,
             scene: &scene,
-            exposure: None,
+            corrected: &Corrected::default(),
             lpips: None,
             stop: self.stop,
             page: None,

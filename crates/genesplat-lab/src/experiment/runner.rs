@@ -13,6 +13,7 @@ use genesplat::core::BackendError;
 use genesplat::gallery;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, Spill, load_points, shown};
 use genesplat::metrics::Lpips;
+use genesplat::run::corrected::Corrected;
 use genesplat::run::inputs::{self, Inputs};
 use genesplat::run::metrics::Metrics;
 use genesplat::run::session::{Caller, RunSession, remove_checkpoint};
@@ -210,7 +211,8 @@ impl<'a> Runner<'a> {
         let scene = scenes.get(self, cell, settings).and_then(|scene| {
             self.check_partners(cell, scene)?;
             if resumes {
-                let (mut now, caller) = (Inputs::of(settings, scene, None), Caller::Experiment);
+                let (mut now, caller) =
+                    (Inputs::of(settings, scene, &Corrected::default()), Caller::Experiment);
                 inputs::check_goes_on(&self.folder(cell), &mut now, &scene.name, caller, false)?;
             }
             Ok(scene)
@@ -219,7 +221,7 @@ impl<'a> Runner<'a> {
         let run = Run {
             settings,
             scene,
-            exposure: None,
+            corrected: &Corrected::default(),
             lpips: self.lpips,
             stop: self.stop,
             page: None,

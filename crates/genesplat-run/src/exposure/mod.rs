@@ -36,6 +36,7 @@ use genesplat_io::{Scene, Spill, plural, replace_photos};
 use serde::{Deserialize, Serialize};
 
 pub use light::{Light, Shade};
+pub(crate) use samples::by_photo;
 
 use crate::output;
 
@@ -133,7 +134,7 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let [train, test] = [&scene.train, &scene.test].map(|views| samples::of_photos(scene, views));
     let Some(found) = estimate::estimate(&train?, &test?) else { return Ok(None) };
     // All parts of a photo have what it has.
-    let photos = || [&scene.train, &scene.test].into_iter().flat_map(|views| samples::by_photo(scene, views));
+    let photos = || [&scene.train, &scene.test].into_iter().flat_map(|views| by_photo(scene, views));
     let names = |views: &[View]| views.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
     let known = |(views, gain): (&[View], Option<[f32; 3]>)| Some((names(views), gain?));
     let of_views = |(names, gain): (Vec<String>, [f32; 3])| names.into_iter().map(move |name| (name, gain));
@@ -143,8 +144,7 @@ pub fn estimate(scene: &Scene) -> Result<Option<Exposure>> {
     let contrasts =
         contrasts.flat_map(|(views, power)| names(views).into_iter().map(move |name| (name, power)));
     let (stops, explained, contrasts) = (found.stops as f32, found.explained as f32, contrasts.collect());
-    let plain =
-        samples::by_photo(scene, &scene.test).zip(&found.plain_corners).filter(|(_, is_plain)| **is_plain);
+    let plain = by_photo(scene, &scene.test).zip(&found.plain_corners).filter(|(_, is_plain)| **is_plain);
     let plain_corners = plain.flat_map(|(views, _)| names(views)).collect();
     let fall_off = found.fall_off;
     let mut exposure =

@@ -34,9 +34,9 @@ pub(super) fn of_photos(scene: &Scene, views: &[View]) -> Result<Vec<Vec<Sample>
         let Some(seen) = scene.seen.get(scene.photo_of(&view.name)) else { return Ok(Vec::new()) };
         let photo = view.photo.read()?;
         let mask = view.mask.as_deref();
-        let seen = seen.iter().filter(|point| **point % every == 0);
+        let seen = seen.iter().map(|sight| sight.point).filter(|point| point % every == 0);
         let place = |point: u32| scene.points.get(point as usize);
-        Ok(seen.filter_map(|&point| sample(view, &photo, mask, point, place(point)?)).collect())
+        Ok(seen.filter_map(|point| sample(view, &photo, mask, point, place(point)?)).collect())
     };
     let of_views: Vec<Vec<Sample>> = views.par_iter().map(of_view).collect::<Result<_, PhotoLost>>()?;
     let mut rest = of_views.into_iter();
@@ -44,7 +44,7 @@ pub(super) fn of_photos(scene: &Scene, views: &[View]) -> Result<Vec<Vec<Sample>
 }
 
 /// The views of each photo.
-pub(super) fn by_photo<'a>(scene: &'a Scene, views: &'a [View]) -> impl Iterator<Item = &'a [View]> {
+pub(crate) fn by_photo<'a>(scene: &'a Scene, views: &'a [View]) -> impl Iterator<Item = &'a [View]> {
     views.chunk_by(|a, b| scene.photo_of(&a.name) == scene.photo_of(&b.name))
 }
 
@@ -77,7 +77,7 @@ mod tests {
     use std::sync::Arc;
 
     use genesplat_core::Camera;
-    use genesplat_io::HoldOut;
+    use genesplat_io::{HoldOut, Sight};
 
     use super::*;
     use crate::small_scene;
@@ -90,6 +90,10 @@ mod tests {
         View { name: "a".into(), camera, photo, mask: mask.map(Arc::new) }
     }
 
+    fn sight(point: u32) -> Sight {
+        Sight { point, ray: None }
+    }
+
     /// The points at the middles of these pixels, at depth 2.
     fn samples(view: View, pixels: &[[f32; 2]]) -> Vec<Sample> {
         let point = |[x, y]: [f32; 2]| Point {
@@ -98,7 +102,7 @@ mod tests {
         };
         let mut points: Vec<Point> = pixels.iter().copied().map(point).collect();
         points.push(Point { position: [0.0, 0.0, -2.0], rgb: [0; 3] });
-        let seen = [("a".to_owned(), (0..points.len() as u32 + 1).collect())].into();
+        let seen = [("a".to_owned(), (0..points.len() as u32 + 1).map(sight).collect())].into();
         let mut scene = small_scene::gallery().into_scene(HoldOut::None);
         (scene.points, scene.seen) = (points, seen);
         of_photos(&scene, &[view]).unwrap().remove(0)
@@ -120,7 +124,7 @@ mod tests {
     fn parts_of_a_photo_have_its_samples_together() {
         let mut scene = small_scene::gallery().into_scene(HoldOut::None);
         scene.points = vec![Point { position: [0.1, 0.1, 2.0], rgb: [0; 3] }];
-        scene.seen = ["a", "b"].map(|photo| (photo.to_owned(), vec![0])).into();
+        scene.seen = ["a", "b"].map(|photo| (photo.to_owned(), vec![sight(0)])).into();
         scene.whole = ["a.front", "a.up"].map(|part| (part.to_owned(), "a".to_owned())).into();
         let views = ["a.front", "a.up", "b"].map(|name| View { name: name.into(), ..view(|_, _| 100, None) });
         assert_eq!(by_photo(&scene, &views).map(<[View]>::len).collect::<Vec<_>>(), [2, 1]);

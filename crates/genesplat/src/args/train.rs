@@ -45,8 +45,9 @@ pub(crate) struct TrainArgs {
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
     /// Whether photos are brought to one exposure, white balance and contrast before training, each by four
-    /// numbers that COLMAP's points tell [default: auto]. Renders then show the mean exposure, and test
-    /// photos are compared with renders at that of training photos nearby (docs/scenes.md)
+    /// numbers that COLMAP's points tell, and cameras to where photos show that they stand [default: auto].
+    /// Renders then show the mean exposure, and test photos are compared with renders at that of training
+    /// photos nearby (docs/scenes.md)
     #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS))]
     pub(crate) corrections: Option<Corrections>,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:

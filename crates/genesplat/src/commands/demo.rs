@@ -14,6 +14,7 @@ use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_own_png};
 use genesplat::io::{Scene, shown};
 use genesplat::metrics::Lpips;
+use genesplat::run::corrected::Corrected;
 use genesplat::run::metrics::Metrics;
 use genesplat::run::numbers::thousands;
 use genesplat::run::report::pair::{self, Side};
@@ -179,7 +180,7 @@ impl Half {
         let run = Run {
             settings: &self.settings,
             scene,
-            exposure: None,
+            corrected: &Corrected::default(),
             lpips,
             stop,
             page: None,

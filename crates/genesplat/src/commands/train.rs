@@ -10,8 +10,8 @@ use anyhow::{Result, ensure};
 use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::cluster::Cluster;
+use genesplat::run::corrected::{Asked, Corrected};
 use genesplat::run::device::DeviceChoice;
-use genesplat::run::exposure::{self, Exposure};
 use genesplat::run::inputs::Inputs;
 use genesplat::run::live::Showing;
 use genesplat::run::metrics::Metrics;
@@ -70,9 +70,8 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
         output::print("stopped; the same command goes on from there")?;
         return Ok(Ending::Stopped);
     };
-    let Loaded { mut session, settings, scene, exposure, lpips } = loaded;
-    let exposure = exposure.as_ref();
-    cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene, exposure))?;
+    let Loaded { mut session, settings, scene, corrected, lpips } = loaded;
+    cluster.map_or(Ok(()), |cluster| cluster.check_alike(&settings, &scene, &corrected))?;
     let (address, tensorboard) = (args.page.address(), args.tensorboard);
     let page = address.as_ref();
     let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
@@ -80,7 +79,7 @@ fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Res
     let run = Run {
         settings,
         scene,
-        exposure,
+        corrected: &corrected,
         lpips,
         stop,
         page,
@@ -119,7 +118,7 @@ struct Loaded {
     session: RunSession,
     settings: Settings,
     scene: Scene,
-    exposure: Option<Exposure>,
+    corrected: Corrected,
     lpips: Option<Lpips>,
 }
 
@@ -159,12 +158,15 @@ fn load(
     scene.points.extend(scene::far_points(&scene, &config.train)?);
     // A run that goes on was begun all the same.
     scene::check_promising(&scene, args.anyway || args.resume)?;
-    let exposure = match args.resume {
-        // That of the steps that were made.
-        true => Inputs::of_checkpoint(&args.out)?.exposure,
-        false => exposure::decide(&scene, config.corrections(), background)?,
+    let corrected = match args.resume {
+        // Those of the steps that were made.
+        true => Corrected::again(Inputs::of_checkpoint(&args.out)?, &mut scene, Some(&spill))?,
+        false => {
+            let (corrections, train) = (config.corrections(), &config.train);
+            let asked = Asked { corrections, train, spill: Some(&spill), stop };
+            Corrected::of(&mut scene, &asked, || device::open(config.clone().resolve(machine)?.device))?
+        }
     };
-    exposure.as_ref().map_or(Ok(()), |exposure| exposure.bring(&mut scene, Some(&spill)))?;
     // In a large scene they take as much memory as its photos.
     scene.seen.clear();
     // Now, since weights that cannot be read should not stop a run at its end.
@@ -173,7 +175,7 @@ fn load(
         config.train.iterations =
             iterations_within(minutes, began, &config, machine, &scene, lpips.as_ref())?;
     }
-    Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, exposure, lpips }))
+    Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, corrected, lpips }))
 }
 
 /// So many fit into the minutes that are left.

@@ -4,6 +4,7 @@ mod another_scene;
 mod bad_input;
 mod blocks;
 mod camera_path;
+mod cameras;
 mod clean;
 mod convert;
 mod corrections;
