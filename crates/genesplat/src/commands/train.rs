@@ -10,6 +10,7 @@ use anyhow::{Result, ensure};
 use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::cluster::Cluster;
+use genesplat::run::cost::After;
 use genesplat::run::device::DeviceChoice;
 use genesplat::run::exposure::{self, Exposure};
 use genesplat::run::inputs::Inputs;
@@ -187,7 +188,7 @@ fn iterations_within(
 ) -> Result<u32> {
     let mut device = device::open(config.clone().resolve(machine)?.device)?;
     let left = 60.0 * asked_minutes - began.elapsed().as_secs_f64();
-    let room = minutes::room(left, &config.train, scene, &mut device, lpips)?;
+    let room = minutes::room(left, &config.train, scene, &mut device, After::Scores(lpips))?;
     output::tell(&room.sentence);
     Ok(room.iterations)
 }

@@ -11,6 +11,7 @@ use genesplat::run::numbers::thousands;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use super::database::{self, Version};
 use super::process;
 use super::stages::{Job, Pairing, Stage};
 use super::summary::{Compared, pairs_of};
@@ -73,6 +74,7 @@ enum Tool {
     },
     Colmap {
         program: PathBuf,
+        version: Option<Version>,
         /// Since version 3.13, options of features are no longer those of SIFT.
         has_feature_options: bool,
     },
@@ -106,7 +108,7 @@ impl Engine {
                 }
                 command
             }
-            Tool::Colmap { program, has_feature_options } => {
+            Tool::Colmap { program, has_feature_options, .. } => {
                 colmap_command(self.programs.command(program), *has_feature_options, stage, job)
             }
         }
@@ -151,6 +153,24 @@ impl Engine {
             self.name()
         );
         Ok(())
+    }
+
+    /// Why a stage has failed: this may be an older COLMAP than the one that the search has begun with.
+    pub(crate) fn explained(&self, error: anyhow::Error, job: &Job) -> anyhow::Error {
+        let own = match &self.tool {
+            Tool::Pycolmap { version, .. } => database::version_in(version),
+            Tool::Colmap { version, .. } => *version,
+        };
+        let (Some(own), Some(by)) = (own, database::written_by(&job.database)) else { return error };
+        if own >= by {
+            return error;
+        }
+        let ([own_major, own_minor], [major, minor]) = (own, by);
+        anyhow!(
+            "{} is COLMAP {own_major}.{own_minor}, and does not read what COLMAP {major}.{minor} has written, with which this search was \
+             begun; go on with that one ({PYTHON} names a Python that has it), or choose another --out",
+            self.name()
+        )
     }
 
     /// Asks the program `colmap` for the errors that pycolmap has said already.
@@ -210,6 +230,7 @@ impl Tool {
                 output_of(programs.command(&program).args(["feature_extractor", "-h"])).unwrap_or_default();
             return Ok(Self::Colmap {
                 program,
+                version: database::version_in(&help),
                 has_feature_options: help.contains("--FeatureExtraction.use_gpu"),
             });
         }
@@ -367,7 +388,8 @@ mod tests {
 
     #[test]
     fn what_both_say_is_heard() {
-        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let tool =
+            Tool::Colmap { program: "colmap".into(), version: Some([3, 13]), has_feature_options: true };
         let colmap = Engine { tool, programs: Programs::default() };
         let done = |engine: &Engine, stage, line: &str| engine.hear(stage, line).done;
         assert_eq!(done(&colmap, Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
@@ -386,7 +408,8 @@ mod tests {
 
     #[test]
     fn the_program_compares_all_photos_and_says_that_this_is_slow() {
-        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let tool =
+            Tool::Colmap { program: "colmap".into(), version: Some([3, 13]), has_feature_options: true };
         let colmap = Engine { tool, programs: Programs::default() };
         let unordered = Job { photos: 178, pairing: Pairing::Looks, ..job() };
         let notice = colmap.notice(&unordered).unwrap();

@@ -162,7 +162,8 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
         }
         let mut listener =
             Listener { engine, stage, bar: None, outcome: &mut outcome, chosen_by: Vec::new() };
-        if !listener.run(job, work, &log, stop)? {
+        let ended = listener.run(job, work, &log, stop);
+        if !ended.map_err(|error| engine.explained(error, job))? {
             return Ok(None);
         }
         // The last stage ends with the summary, which is its mark.
