@@ -199,6 +199,17 @@ pub(crate) fn separate(name: &mut String, folder: &Path) {
     }
 }
 
+/// [`separate`]s `name`, as it came from another machine: what leads out of the folder becomes the file of
+/// its last part in the first of `folders` that has one.
+pub(crate) fn settle(name: &mut String, folders: &[&Path]) {
+    folders.iter().take(1).for_each(|folder| separate(name, folder));
+    let last = base_name(name).to_owned();
+    let is_here = || folders.iter().any(|folder| folder.join(&last).is_file());
+    if path_inside(name).is_none() && path_inside(&last).is_some() && is_here() {
+        *name = last;
+    }
+}
+
 /// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside(name: &str, list: &Path) -> Result<PathBuf, SceneError> {
     path_inside(name).ok_or_else(|| {
@@ -301,17 +312,17 @@ pub(crate) fn damaged_notice(damaged: &[PhotoError], all: usize) -> Option<Strin
     Some(format!("{count} of the {all} photos {are}, first: {first}"))
 }
 
-/// Of all photos that `list` has, these have poses that are not finite: programs write such numbers where
-/// they have found nothing. An error where no other is left.
+/// Of all photos that `list` has, these have poses that are not finite, or rotations of zeros: programs write
+/// such numbers where they have found nothing. An error where no other is left.
 pub(crate) fn lost_poses(lost: &[String], all: usize, list: &Path) -> Result<Option<String>, SceneError> {
     let Some(first) = lost.first() else { return Ok(None) };
     if lost.len() == all {
-        return Err(bad_pose(list, first, "is not finite"));
+        return Err(bad_pose(list, first, "is not finite, or has a rotation of zeros"));
     }
     let have = plural(
         lost.len(),
-        "has a pose that is not finite and is left out",
-        "have poses that are not finite and are left out",
+        "has a pose that is not finite, or of zeros, and is left out",
+        "have poses that are not finite, or of zeros, and are left out",
     );
     let (count, list, first) = (lost.len(), shown(list), shown(first));
     Ok(Some(format!("{count} of the {all} photos that {list} lists {have}, first {first}")))

@@ -116,7 +116,9 @@ pub(crate) fn key(path: &Path) -> String {
 
 fn photos_by_key(folder: &Path) -> HashMap<String, Vec<PathBuf>> {
     let mut photos: HashMap<String, Vec<PathBuf>> = HashMap::new();
-    for photo in entries(folder).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)) {
+    // A link to what is gone is no photo.
+    let is_photo = |entry: &PathBuf| has_ending(entry, &PHOTO_ENDINGS) && entry.exists();
+    for photo in entries(folder).filter(is_photo) {
         photos.entry(key(&photo)).or_default().push(photo);
     }
     photos

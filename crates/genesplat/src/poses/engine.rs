@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::database::{self, Version};
 use super::process;
 use super::stages::{Job, Pairing, Stage};
-use super::summary::{Compared, pairs_of};
+use super::summary::{Compared, none_found, pairs_of};
 use crate::programs::Programs;
 
 /// Names the Python to use.
@@ -43,6 +43,9 @@ const ROUND_MAX_SIDE: u32 = 2 * MAX_SIDE;
 
 /// Frames of a film before and after one that the program `colmap` compares with it.
 const NEIGHBOURS: &str = "10";
+
+/// What the program `colmap` says, and fails, where photos share too little.
+const NO_MODEL: &str = "failed to create sparse model";
 
 pub(crate) struct Engine {
     tool: Tool,
@@ -155,8 +158,12 @@ impl Engine {
         Ok(())
     }
 
-    /// Why a stage has failed: this may be an older COLMAP than the one that the search has begun with.
+    /// Why a stage has failed: the program `colmap` ends so where it finds no cameras, and it may be older than
+    /// the one that the search has begun with.
     pub(crate) fn explained(&self, error: anyhow::Error, job: &Job) -> anyhow::Error {
+        if error.to_string().contains(NO_MODEL) {
+            return anyhow!(none_found(job.photos));
+        }
         let own = match &self.tool {
             Tool::Pycolmap { version, .. } => database::version_in(version),
             Tool::Colmap { version, .. } => *version,

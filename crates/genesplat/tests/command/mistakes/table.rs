@@ -42,7 +42,7 @@ pub(super) const SCENES: &[Mistake] = &[
             place.write("scene.zip", "PK");
             place.trains("scene.zip", &[])
         },
-        Says(&["scene.zip cannot be read", "unpack it by hand"]),
+        Says(&["scene.zip cannot be read", "copy or download it again, or unpack it by hand"]),
     ),
     (
         |place| {
