@@ -216,8 +216,8 @@ fn wanted(
     }
 }
 
-/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such; drives
-/// are those of Windows on every system, since archives travel.
+/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such;
+/// drives are those of Windows on every system, since archives travel.
 fn name_of(raw: &str, enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
     let name = names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?)?;
     if names::has_drive(raw) { Err(NameProblem::LeadsOut) } else { Ok(name.into()) }

@@ -38,8 +38,8 @@ pub(crate) struct ConvertArgs {
     pub(crate) sh_degree: Option<u8>,
     #[command(flatten)]
     pub(crate) placement: PlacementArgs,
-    /// Give back the coordinates of the survey, in double precision: what was subtracted from them, since they
-    /// are far from their origin, is added again. For .ply, which alone has double precision
+    /// Give back the coordinates of the survey, in double precision: what was subtracted from them, since
+    /// they are far from their origin, is added again. For .ply, which alone has double precision
     #[arg(long, conflicts_with_all = ["up", "rotate", "scale", "translate"])]
     pub(crate) georeferenced: bool,
     /// Version of .spz to write [default: 4]

@@ -158,8 +158,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Why a stage has failed: the program `colmap` ends so where it finds no cameras, and it may be older than
-    /// the one that the search has begun with.
+    /// Why a stage has failed: the program `colmap` ends so where it finds no cameras, and it may be older
+    /// than the one that the search has begun with.
     pub(crate) fn explained(&self, error: anyhow::Error, job: &Job) -> anyhow::Error {
         if error.to_string().contains(NO_MODEL) {
             return anyhow!(none_found(job.photos));
@@ -318,7 +318,8 @@ fn colmap_command(mut colmap: Command, has_feature_options: bool, stage: Stage, 
             colmap.args([format!("--{matching}.use_gpu"), "0".into()]);
             colmap.args([format!("--{matching}.num_threads"), threads]);
             if is_sequence {
-                // Since version 4, neighbours at distances of powers of two would take the place of the others.
+                // Since version 4, neighbours at distances of powers of two would take the place of the
+                // others.
                 colmap.args(["--SequentialMatching.overlap", NEIGHBOURS]);
                 colmap.args(["--SequentialMatching.quadratic_overlap", "0"]);
             }

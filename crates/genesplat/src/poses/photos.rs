@@ -175,7 +175,8 @@ impl Source {
     }
 }
 
-/// Whether a file is a video: by a usual name, or by what ffmpeg finds in it. It takes a photo for a short one.
+/// Whether a file is a video: by a usual name, or by what ffmpeg finds in it. It takes a photo for a short
+/// one.
 fn is_video(path: &Path) -> bool {
     let has = |endings: &[&str]| has_ending(&path.to_string_lossy(), endings);
     let is_photo = has(&PHOTO_ENDINGS) || has(&UNREAD);

@@ -205,7 +205,8 @@ fn photos_without_a_camera_are_tried_again_with_all_that_have_one() {
     assert!(number(&summary["compared"]["pairs"]) >= left + registered - 1.0, "{summary}");
 }
 
-/// COLMAP numbers photos as threads get done with them, if it is left to it, and finds other cameras each time.
+/// COLMAP numbers photos as threads get done with them, if it is left to it, and finds other cameras each
+/// time.
 #[test]
 fn photos_have_numbers_by_their_names() {
     let folder = tempfile::tempdir().unwrap();
