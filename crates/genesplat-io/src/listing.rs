@@ -369,8 +369,7 @@ impl LeftOut {
 pub(crate) fn left_out<'a>(found: impl Iterator<Item = &'a Path> + Clone) -> Option<LeftOut> {
     let folders: BTreeSet<&Path> = found.clone().filter_map(Path::parent).collect();
     let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
-    let there: Vec<PathBuf> =
-        folders.into_iter().flat_map(entries).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)).collect();
+    let there: Vec<PathBuf> = folders.into_iter().flat_map(photos_in).collect();
     let masks: HashSet<PathBuf> = found.clone().filter_map(mask_beside).collect();
     // A photo may lie beside what was made of it: `a.webp` beside `a.webp.png`.
     let is_used = |photo: &Path| {
