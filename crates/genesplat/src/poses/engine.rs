@@ -24,6 +24,7 @@ const DRIVER: &str = concat!(
     include_str!("pairs.py"),
     include_str!("matching.py"),
     include_str!("cameras.py"),
+    include_str!("sides.py"),
     include_str!("turned.py"),
     include_str!("driver.py")
 );
@@ -63,6 +64,10 @@ pub(crate) struct Said {
     /// Photos without a camera that are tried again, by so many `pairs`.
     pub(crate) retried: Option<usize>,
     pub(crate) pairs: usize,
+    /// Photos of a group that most matches contradict, and cameras are looked for anew.
+    pub(crate) doubted: Option<usize>,
+    /// The same, where that has not helped.
+    pub(crate) unsure: Option<usize>,
     /// What chose the pairs that are matched.
     pub(crate) chosen_by: Option<Vec<String>>,
     pub(crate) compared: Option<Compared>,

@@ -254,6 +254,18 @@ impl Listener<'_> {
                 thousands(said.pairs)
             ));
         }
+        if let Some(photos) = said.doubted {
+            output::tell(&format!(
+                "most of what {photos} photos share with the others contradicts where they were found, as where sides look alike; \
+                 cameras are looked for once more, without what misleads"
+            ));
+        }
+        if let Some(photos) = said.unsure {
+            output::tell(&format!(
+                "notice: {photos} photos may be in a wrong place: most of what they share with the others contradicts it; take more \
+                 photos where things that look alike are seen together, or leave some out"
+            ));
+        }
         self.chosen_by = said.chosen_by.unwrap_or_else(|| std::mem::take(&mut self.chosen_by));
         self.outcome.errors_px.extend(said.errors_px);
         self.outcome.compared = said.compared.or_else(|| self.outcome.compared.take());
