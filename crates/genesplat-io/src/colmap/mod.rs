@@ -153,7 +153,8 @@ fn part_models(sparse: &Path) -> Vec<ModelFolder> {
 
 /// The model whose files are in `folder` itself.
 pub(crate) fn model_in(folder: &Path) -> Option<ModelFolder> {
-    let is_whole = |form: &Form| ["cameras", "images"].iter().all(|name| form.file(folder, name).is_file());
+    let is_whole =
+        |form: &Form| form.file(folder, "cameras").is_file() && form.file(folder, "images").exists();
     let form = [Form::Binary, Form::Text].into_iter().find(is_whole)?;
     Some(ModelFolder { path: folder.to_owned(), form })
 }

@@ -20,10 +20,11 @@ pub fn keep_mean_colours(cloud: &mut Gaussians, format: Format, options: &Option
     if !changes_colours(cloud, format, options) {
         return;
     }
-    let (degree, is_rounded) = (written_degree(format, options), rounds_colours(format));
+    let degree = written_degree(format, options).min(cloud.sh_degree_in_use());
+    let is_rounded = rounds_colours(format);
     let written = |row: &Harmonics| {
         let mut written = *row;
-        let (kept, left_out) = written.split_at_mut(3 * coefficients(degree.min(SH_DEGREE_MAX)));
+        let (kept, left_out) = written.split_at_mut(3 * coefficients(degree));
         left_out.fill(0.0);
         if is_rounded {
             kept[3..].iter_mut().for_each(|value| *value = compressed_ply::rounded_sh(*value));

@@ -55,7 +55,7 @@ pub(super) fn part_of_model(path: &Path) -> Option<SceneError> {
     let all = folders.iter().flat_map(|folder| both_ways.clone().map(move |pair| (folder, pair)));
     let (folder, (there, missing)) = all
         .into_iter()
-        .find(|(folder, (there, missing))| folder.join(there).is_file() && !folder.join(missing).is_file())?;
+        .find(|(folder, (there, missing))| folder.join(there).is_file() && !folder.join(missing).exists())?;
     let problem = format!(
         "is a part of a COLMAP model: {} has no {missing} beside {there}; copy all files of the model there",
         shown(folder)

@@ -400,7 +400,7 @@ pub(super) const MODELS: &[Mistake] = &[
             fs::remove_file(place.at("scene/sparse/0/images.bin")).unwrap();
             place.trains("scene", &[])
         },
-        Says(&["cannot read", "images.bin"]),
+        Says(&["sparse/0 has no images.bin beside cameras.bin", "copy all files"]),
     ),
     (
         |place| {
