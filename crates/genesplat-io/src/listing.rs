@@ -18,7 +18,7 @@ use crate::error::SceneError;
 use crate::offset::Offset;
 use crate::photos::{Cut, Lens, PhotoError, part_names};
 use crate::scene::{Cube, Doubt, Point, mask_beside};
-use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending};
+use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending, photos_in};
 use crate::{names, plural, shown};
 
 pub(crate) struct Listing {
