@@ -170,16 +170,20 @@ def mend_sides(folder, keeps_focal):
     rows, anew = leave_out(job["database"], holding), job["models"] + "-anew"
     shutil.rmtree(anew, ignore_errors=True)
     map_photos(job, anew, lambda: None, keeps_focal=keeps_focal)
+    bring_back(job["database"], rows)
     models = read_models(anew)
-    new = models[largest_of(models)] if models else None
-    # What joins no photo to those that contradict it is lost with it.
-    if new and new.num_reg_images() >= MOSTLY * old.num_reg_images() and doubted(new, job["database"]) is None:
+    if models and is_better(models[largest_of(models)], old):
         shutil.rmtree(job["models"])
         os.rename(anew, job["models"])
         return
     shutil.rmtree(anew, ignore_errors=True)
-    bring_back(job["database"], rows)
     say(unsure=photos)
+
+
+def is_better(new, old):
+    """Whether more matches agree with it, of all that there are, and few photos are lost."""
+    agreed = [all_agreeing(model, job["database"]) for model in (old, new)]
+    return new.num_reg_images() >= MOSTLY * old.num_reg_images() and agreed[0] < agreed[1] and not doubted(new, job["database"])
 
 
 def finish_models():

@@ -6,7 +6,7 @@ import numpy as np
 import pycolmap
 
 # A model that joins two groups is doubted where so many of the matched features that these share contradict it. (Bonsai, whose
-# table has sides that look alike: 83 %; right models of it and of four other scenes: at most 12 %, lab/performance.md.)
+# table has sides that look alike: 83 %; right models of it and of four others: at most 23 %, lab/performance.md.)
 DOUBTED = 0.5
 # A match contradicts a model where it is farther from its epipolar lines, px.
 AGREES_PX = 4.0
@@ -87,6 +87,12 @@ def doubted(model, path):
         return None
     holding = [(ids[i], ids[j]) for i in one for j in other if matched[i, j] > 0 and 2 * agree[i, j] >= matched[i, j]]
     return len(min(one, other, key=len)), holding
+
+
+def all_agreeing(model, path):
+    """How many matched features agree with the model."""
+    number = {photo: place for place, photo in enumerate(sorted(model.reg_image_ids()))}
+    return agreement(model, path, number)[1].sum() / 2
 
 
 def leave_out(path, pairs):

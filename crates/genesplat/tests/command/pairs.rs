@@ -276,6 +276,7 @@ for index, point in enumerate(true.points3D.values()):
         if side:
             wrong.add_point3D(place, pycolmap.Track(elements=side), point.color)
 assert doubted(true, path) is None
+assert all_agreeing(true, path) > all_agreeing(wrong, path) > 0
 photos, holding = doubted(wrong, path)
 assert photos == 9, photos
 before = sqlite3.connect(path).execute("SELECT SUM(rows) FROM two_view_geometries").fetchone()
