@@ -235,7 +235,8 @@ fn a_stopped_run_goes_on_with_another_number_of_ranks() {
     }
 }
 
-/// The file that ranks write together is that of one process, but for the clock; in the middle of a step of four views.
+/// The file that ranks write together is that of one process, but for the clock; in the middle of a step of
+/// four views.
 #[test]
 fn ranks_write_the_checkpoint_of_one_process() {
     let of_mip = TrainConfig { checkpoint_every: 64, ..averaging(MethodName::MipSplatting, 4) };

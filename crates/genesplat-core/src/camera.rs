@@ -100,8 +100,8 @@ pub fn nearest_to_axes(cameras: &[Camera], prior: (DMat3, DVec3)) -> (DMat3, DVe
     })
 }
 
-/// The near plane of cameras that stand at these places, world units: `most`, or less where the scene is small
-/// beside that. With infinity it depends on the scene alone, whatever its unit.
+/// The near plane of cameras that stand at these places, world units: `most`, or less where the scene is
+/// small beside that. With infinity it depends on the scene alone, whatever its unit.
 pub fn near_of(centres: &[DVec3], most: f64) -> f64 {
     /// Of the largest distance of a camera from their mean.
     const FRACTION: f64 = 0.1;

@@ -44,6 +44,17 @@ pub enum ArchiveError {
         /// What is wrong.
         problem: String,
     },
+    /// No archive, or a part of one.
+    #[error(
+        "the archive {} {problem}; copy or download it again, or unpack it by hand, and give the folder",
+        shown(.archive)
+    )]
+    Damaged {
+        /// The archive.
+        archive: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
     /// All of its pictures are of formats that are not read.
     #[error(
         "the archive {} holds no JPEG, PNG or WebP files, and others are not read ({}); {}",
@@ -115,7 +126,7 @@ pub(crate) fn each_entry(
     mut on_entry: impl FnMut(&Path, &mut dyn Read) -> Result<(), ArchiveError>,
 ) -> Result<Unpacked, ArchiveError> {
     let unreadable = |error: ZipError| refused(path, format!("cannot be read: {error}"));
-    let mut archive = entries::open(reader).map_err(|problem| refused(path, problem))?;
+    let mut archive = entries::open(reader).map_err(|problem| damaged(path, problem))?;
     let Wanted { entries, unread } = wanted(path, &mut archive, bytes)?;
     for (index, name) in &entries {
         let entry = archive.by_index(*index).map_err(unreadable)?;
@@ -205,8 +216,8 @@ fn wanted(
     }
 }
 
-/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such; drives
-/// are those of Windows on every system, since archives travel.
+/// Where an entry goes. The reader of archives has undone `..`, and taken the separators of Windows for such;
+/// drives are those of Windows on every system, since archives travel.
 fn name_of(raw: &str, enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem> {
     let name = names::of_path(&enclosed.ok_or(NameProblem::LeadsOut)?)?;
     if names::has_drive(raw) { Err(NameProblem::LeadsOut) } else { Ok(name.into()) }
@@ -215,6 +226,10 @@ fn name_of(raw: &str, enclosed: Option<PathBuf>) -> Result<PathBuf, NameProblem>
 /// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.
 fn is_hidden(name: &Path) -> bool {
     name.iter().map(|part| part.to_string_lossy()).any(|part| part.starts_with('.') || part == "__MACOSX")
+}
+
+fn damaged(archive: &Path, problem: String) -> ArchiveError {
+    ArchiveError::Damaged { archive: archive.to_owned(), problem }
 }
 
 fn refused(archive: &Path, problem: String) -> ArchiveError {

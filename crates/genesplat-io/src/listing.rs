@@ -18,7 +18,7 @@ use crate::error::SceneError;
 use crate::offset::Offset;
 use crate::photos::{Cut, Lens, PhotoError, part_names};
 use crate::scene::{Cube, Doubt, Point, Sight, mask_beside};
-use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending};
+use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending, photos_in};
 use crate::{names, plural, shown};
 
 pub(crate) struct Listing {
@@ -199,6 +199,17 @@ pub(crate) fn separate(name: &mut String, folder: &Path) {
     }
 }
 
+/// [`separate`]s `name`, as it came from another machine: what leads out of the folder becomes the file of
+/// its last part in the first of `folders` that has one.
+pub(crate) fn settle(name: &mut String, folders: &[&Path]) {
+    folders.iter().take(1).for_each(|folder| separate(name, folder));
+    let last = base_name(name).to_owned();
+    let is_here = || folders.iter().any(|folder| folder.join(&last).is_file());
+    if path_inside(name).is_none() && path_inside(&last).is_some() && is_here() {
+        *name = last;
+    }
+}
+
 /// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside(name: &str, list: &Path) -> Result<PathBuf, SceneError> {
     path_inside(name).ok_or_else(|| {
@@ -301,17 +312,17 @@ pub(crate) fn damaged_notice(damaged: &[PhotoError], all: usize) -> Option<Strin
     Some(format!("{count} of the {all} photos {are}, first: {first}"))
 }
 
-/// Of all photos that `list` has, these have poses that are not finite: programs write such numbers where
-/// they have found nothing. An error where no other is left.
+/// Of all photos that `list` has, these have poses that are not finite, or rotations of zeros: programs write
+/// such numbers where they have found nothing. An error where no other is left.
 pub(crate) fn lost_poses(lost: &[String], all: usize, list: &Path) -> Result<Option<String>, SceneError> {
     let Some(first) = lost.first() else { return Ok(None) };
     if lost.len() == all {
-        return Err(bad_pose(list, first, "is not finite"));
+        return Err(bad_pose(list, first, "is not finite, or has a rotation of zeros"));
     }
     let have = plural(
         lost.len(),
-        "has a pose that is not finite and is left out",
-        "have poses that are not finite and are left out",
+        "has a pose that is not finite, or of zeros, and is left out",
+        "have poses that are not finite, or of zeros, and are left out",
     );
     let (count, list, first) = (lost.len(), shown(list), shown(first));
     Ok(Some(format!("{count} of the {all} photos that {list} lists {have}, first {first}")))
@@ -358,8 +369,7 @@ impl LeftOut {
 pub(crate) fn left_out<'a>(found: impl Iterator<Item = &'a Path> + Clone) -> Option<LeftOut> {
     let folders: BTreeSet<&Path> = found.clone().filter_map(Path::parent).collect();
     let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
-    let there: Vec<PathBuf> =
-        folders.into_iter().flat_map(entries).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)).collect();
+    let there: Vec<PathBuf> = folders.into_iter().flat_map(photos_in).collect();
     let masks: HashSet<PathBuf> = found.clone().filter_map(mask_beside).collect();
     // A photo may lie beside what was made of it: `a.webp` beside `a.webp.png`.
     let is_used = |photo: &Path| {

@@ -58,6 +58,11 @@ pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
     fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
 }
 
+/// What lies in a folder and is called like a photo; a link to what is gone is none.
+pub(crate) fn photos_in(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    entries(folder).filter(|entry| has_ending(entry, &PHOTO_ENDINGS) && entry.exists())
+}
+
 /// The folder `path`, or the only one that differs from it in case.
 pub(crate) fn folder(path: &Path) -> PathBuf {
     but_for_case(path, Path::is_dir)
@@ -116,7 +121,7 @@ pub(crate) fn key(path: &Path) -> String {
 
 fn photos_by_key(folder: &Path) -> HashMap<String, Vec<PathBuf>> {
     let mut photos: HashMap<String, Vec<PathBuf>> = HashMap::new();
-    for photo in entries(folder).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)) {
+    for photo in photos_in(folder) {
         photos.entry(key(&photo)).or_default().push(photo);
     }
     photos

@@ -92,8 +92,8 @@ fn train(scene: &Path, out: &Path, iterations: &str, is_watched: bool) -> Measur
     Measured { seconds: of("total") - of("load") - of("evaluate"), pictures }
 }
 
-/// Looks from one place, as who waits does, until the run has ended; returns how many pictures there were. (For
-/// who moves, training yields.)
+/// Looks from one place, as who waits does, until the run has ended; returns how many pictures there were.
+/// (For who moves, training yields.)
 fn watch(child: &mut Child) -> JoinHandle<u32> {
     let mut lines = BufReader::new(child.stdout.take().expect("it is piped")).lines().map_while(Result::ok);
     let url =

@@ -9,6 +9,7 @@ use anyhow::ensure;
 use genesplat::core::{Gaussians, RenderSettings};
 use genesplat::io::{Scene, Spill};
 use genesplat::run::corrected::{Asked, Corrected};
+use genesplat::run::cost::After;
 use genesplat::run::exposure::Corrections;
 use genesplat::run::inputs::Inputs;
 use genesplat::run::reporter::{Companion, Reporter};
@@ -100,10 +101,11 @@ impl Plan {
     /// Finds out how many iterations fit: once, so that every part of a training has the same end.
     fn fit(&self, minutes: f64) -> anyhow::Result<u32> {
         let began = Instant::now();
-        let lpips = self.out.as_ref().map(|_| lpips::open(&lpips::Asked::default())).transpose()?.flatten();
+        let lpips = self.out.as_ref().map(|_| lpips::open(&lpips::Asked::default())).transpose()?;
+        let after = lpips.as_ref().map_or(After::Nothing, |lpips| After::Scores(lpips.as_ref()));
         let mut device = device::open(self.config.clone().resolve(Machine::default())?.device)?;
         let left = 60.0 * minutes - began.elapsed().as_secs_f64();
-        let room = minutes::room(left, &self.config.train, &self.scene, &mut device, lpips.as_ref())?;
+        let room = minutes::room(left, &self.config.train, &self.scene, &mut device, after)?;
         output::tell(&room.sentence);
         Ok(*self.fitting.get_or_init(|| room.iterations))
     }

@@ -29,6 +29,15 @@ const GROWTH: f64 = 1.7;
 /// two cores took the 57 s that were foreseen.)
 const BESIDE: f64 = 1.1;
 
+/// What follows training.
+#[derive(Clone, Copy)]
+pub enum After<'a> {
+    /// Photos are scored, with LPIPS where its weights are there, and the curve of the test photos was.
+    Scores(Option<&'a Lpips>),
+    /// Nothing: there is no folder for figures.
+    Nothing,
+}
+
 /// What a step takes with so many Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tried {
@@ -51,17 +60,13 @@ pub struct Cost {
 
 impl Cost {
     /// Tries it.
-    pub fn tried(
-        device: &mut Device,
-        scene: &Scene,
-        schedule: &Schedule,
-        lpips: Option<&Lpips>,
-    ) -> Result<Self> {
+    pub fn tried(device: &mut Device, scene: &Scene, schedule: &Schedule, after: After<'_>) -> Result<Self> {
         let (config, views) = (schedule.config(), &scene.train);
         let start = starting_gaussians(config, views, scene.points.len());
         let counts = [start, expected_gaussians(config, views).max(start)];
         let some = spread(views);
-        let coarse = coarse_views(&some);
+        // Not where no step sees them.
+        let coarse = (GrowthToCome::new(schedule, views).seen(0) < 1.0).then(|| coarse_views(&some));
         let points = scene::points(scene);
         let every = (points.len() / start.max(1)).max(1);
         let first = cloud_from_points(&points.iter().step_by(every).copied().collect::<Vec<_>>())?;
@@ -69,15 +74,13 @@ impl Cost {
         for (index, cloud) in [first, sampled(&points, counts[1])?].into_iter().enumerate() {
             let gaussians = cloud.len();
             device.upload(cloud.into())?;
-            coarse_steps[index] = seconds_a_step(device, &coarse)?;
-            steps[index] = Tried { gaussians, seconds: seconds_a_step(device, &some)? };
+            let of_coarse = coarse.as_ref().map(|coarse| seconds_a_step(device, coarse)).transpose()?;
+            let seconds = seconds_a_step(device, &some)?;
+            steps[index] = Tried { gaussians, seconds };
+            coarse_steps[index] = of_coarse.unwrap_or(seconds);
         }
         // The last cloud is still there.
-        let score = seconds_of_scoring(device, views, None)?;
-        let learned = if lpips.is_some() { seconds_of_scoring(device, &scene.test, lpips)? } else { score };
-        let [test, train] = [scene.test.len() as f64, views.len() as f64];
-        let curve = f64::from(test_curve::POINTS) * POINT * score;
-        Ok(Self { steps, coarse_steps, scoring_seconds: train * score + test * (learned + curve) })
+        Ok(Self { steps, coarse_steps, scoring_seconds: scoring_seconds(device, scene, after)? })
     }
 
     /// Seconds of training by `schedule`.
@@ -125,6 +128,16 @@ fn seconds_a_step(device: &mut Device, views: &[View]) -> Result<f64> {
     Ok(clock.elapsed().as_secs_f64() / STEPS as f64)
 }
 
+/// Of all photos, the curve of the test photos included.
+fn scoring_seconds(device: &mut Device, scene: &Scene, after: After<'_>) -> Result<f64> {
+    let After::Scores(lpips) = after else { return Ok(0.0) };
+    let score = seconds_of_scoring(device, &scene.train, None)?;
+    let learned = if lpips.is_some() { seconds_of_scoring(device, &scene.test, lpips)? } else { score };
+    let [test, train] = [scene.test.len() as f64, scene.train.len() as f64];
+    let curve = f64::from(test_curve::POINTS) * POINT * score;
+    Ok(train * score + test * (learned + curve))
+}
+
 /// Of one photo, scored with as many others as are scored at once; 0 where there is none.
 fn seconds_of_scoring(device: &mut Device, views: &[View], lpips: Option<&Lpips>) -> Result<f64> {
     let clock = Instant::now();
@@ -134,8 +147,9 @@ fn seconds_of_scoring(device: &mut Device, views: &[View], lpips: Option<&Lpips>
 
 #[cfg(test)]
 mod tests {
+    use genesplat_gallery::{GalleryOptions, generate};
     use genesplat_io::HoldOut;
-    use genesplat_train::TrainConfig;
+    use genesplat_train::{MethodName, TrainConfig};
 
     use super::*;
     use crate::device::{DeviceChoice, open};
@@ -171,8 +185,23 @@ mod tests {
         let scene = gallery().into_scene(HoldOut::default());
         let schedule = TrainConfig::default().resolve().unwrap();
         let mut device = open(DeviceChoice::Cpu).unwrap();
-        let cost = Cost::tried(&mut device, &scene, &schedule, None).unwrap();
+        let cost = Cost::tried(&mut device, &scene, &schedule, After::Scores(None)).unwrap();
         assert!(cost.steps.iter().all(|tried| tried.gaussians > 0 && tried.seconds > 0.0), "{cost:?}");
         assert!(cost.scoring_seconds > 0.0);
+        let unscored = Cost::tried(&mut device, &scene, &schedule, After::Nothing).unwrap();
+        assert_eq!(unscored.scoring_seconds, 0.0);
+    }
+
+    #[test]
+    fn half_photos_are_tried_where_steps_see_them() {
+        let options = GalleryOptions { width: 400, height: 16, views: 9, points: 20, seed: 1 };
+        let scene = generate(&options).into_scene(HoldOut::default());
+        let mut device = open(DeviceChoice::Cpu).unwrap();
+        for (name, are_seen) in [(MethodName::Genesplat, true), (MethodName::ThreeDgs, false)] {
+            let schedule = TrainConfig::of(name).resolve().unwrap();
+            let cost = Cost::tried(&mut device, &scene, &schedule, After::Nothing).unwrap();
+            let of_whole = cost.steps.map(|tried| tried.seconds);
+            assert_eq!(cost.coarse_steps != of_whole, are_seen, "{name:?}: {cost:?}");
+        }
     }
 }

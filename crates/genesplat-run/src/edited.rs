@@ -1,4 +1,5 @@
-//! What pages have edited, as a file of its own: never over the splat that was opened, nor over an earlier edit.
+//! What pages have edited, as a file of its own: never over the splat that was opened, nor over an earlier
+//! edit.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};

@@ -5,10 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use genesplat_io::Scene;
-use genesplat_metrics::Lpips;
 use genesplat_train::{MethodName, Schedule, TrainConfig};
 
-use crate::cost::{Cost, Tried};
+use crate::cost::{After, Cost, Tried};
 use crate::device::Device;
 use crate::numbers::{thousands, time_left};
 
@@ -38,17 +37,17 @@ pub fn check_method(config: &TrainConfig) -> Result<()> {
     Ok(())
 }
 
-/// The iterations that training and scoring have `seconds` for.
+/// The iterations that training and what follows it have `seconds` for.
 pub fn room(
     seconds: f64,
     config: &TrainConfig,
     scene: &Scene,
     device: &mut Device,
-    lpips: Option<&Lpips>,
+    after: After<'_>,
 ) -> Result<Room> {
     let clock = Instant::now();
     let schedule = of_length(config, MOST)?;
-    let cost = Cost::tried(device, scene, &schedule, lpips)?;
+    let cost = Cost::tried(device, scene, &schedule, after)?;
     let takes = |schedule: &Schedule| cost.training_seconds(schedule, &scene.train) + cost.scoring_seconds;
     let left = seconds - clock.elapsed().as_secs_f64();
     let least = takes(&of_length(config, LEAST)?);
@@ -67,19 +66,20 @@ pub fn room(
         }
     }
     let expected = takes(&of_length(config, iterations)?);
-    Ok(Room { iterations, sentence: sentence(iterations, &cost, expected) })
+    let with = if matches!(after, After::Scores(_)) { " with scoring" } else { "" };
+    Ok(Room { iterations, sentence: sentence(iterations, &cost, expected, with) })
 }
 
 fn of_length(config: &TrainConfig, iterations: u32) -> Result<Schedule> {
     Ok(TrainConfig { iterations, ..config.clone() }.resolve()?)
 }
 
-fn sentence(iterations: u32, cost: &Cost, expected: f64) -> String {
+fn sentence(iterations: u32, cost: &Cost, expected: f64, with: &str) -> String {
     let step =
         |tried: Tried| format!("{:.1} ms with {} Gaussians", 1e3 * tried.seconds, thousands(tried.gaussians));
     let [start, full] = cost.steps.map(step);
     format!(
-        "{} iterations fit, and take about {} with scoring: a step takes {start}, and {full}",
+        "{} iterations fit, and take about {}{with}: a step takes {start}, and {full}",
         thousands(iterations as usize),
         time_left(expected)
     )
@@ -97,7 +97,7 @@ mod tests {
     fn more_time_has_room_for_more_and_too_little_is_an_error() {
         let (scene, config) = (gallery().into_scene(HoldOut::default()), TrainConfig::default());
         let of = |seconds, config: &TrainConfig| {
-            room(seconds, config, &scene, &mut open(DeviceChoice::Cpu).unwrap(), None)
+            room(seconds, config, &scene, &mut open(DeviceChoice::Cpu).unwrap(), After::Scores(None))
         };
         assert_eq!(of(1e6, &config).unwrap().iterations, MOST);
         let refused = of(1e-6, &config).unwrap_err().to_string();

@@ -1,7 +1,7 @@
 //! A cloud that costs what a trained one costs, with any number of Gaussians.
 //!
-//! Points are sampled again with a jitter of their own spacing until there are as many as wanted; Gaussians as
-//! wide as the distance to their new neighbours then cover the same surfaces, as densification does.
+//! Points are sampled again with a jitter of their own spacing until there are as many as wanted; Gaussians
+//! as wide as the distance to their new neighbours then cover the same surfaces, as densification does.
 
 use anyhow::Result;
 use genesplat_core::gaussians::logit;

@@ -149,8 +149,8 @@ pub struct Dataset {
     /// What masks and transparency mean: `usual`, `ignore`, `transparent` or `off`.
     #[serde(skip_serializing_if = "is_default")]
     pub mask: MaskUse,
-    /// Whether photos are brought to one exposure before training, and cameras to where they stand: `on`, `off`,
-    /// or `auto` for where that is worth it and the method is ours; left out for `auto`.
+    /// Whether photos are brought to one exposure before training, and cameras to where they stand: `on`,
+    /// `off`, or `auto` for where that is worth it and the method is ours; left out for `auto`.
     #[serde(skip_serializing_if = "is_default")]
     pub corrections: Corrections,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,

@@ -1,7 +1,7 @@
 //! Density control for trainers of others: when it is due, and what it does to which rows.
 //!
-//! They have a cloud, an optimiser and gradients of their own; here is what [`crate::train`] would decide with
-//! these. Selection alone: the other kinds of density control are published by their authors.
+//! They have a cloud, an optimiser and gradients of their own; here is what [`crate::train`] would decide
+//! with these. Selection alone: the other kinds of density control are published by their authors.
 
 use genesplat_core::{Genes, Rng, RowEdit, Statistics};
 

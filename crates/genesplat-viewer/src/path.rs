@@ -79,8 +79,8 @@ impl CameraPath {
         }
     }
 
-    /// Around what the cameras look at, where they were: at each side at the distance and height of those that
-    /// stood there. Where none stood on some side, it turns back before that.
+    /// Around what the cameras look at, where they were: at each side at the distance and height of those
+    /// that stood there. Where none stood on some side, it turns back before that.
     pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
         let Framing { up, centre, .. } = Framing::of_cameras(cameras).ok_or(PathError::NoCameras)?;
         let (up, centre) = (DVec3::from(up), DVec3::from(centre));

@@ -28,7 +28,8 @@ where
         .iter()
         .map(|(_, names, help)| PossibleValue::new(names[0]).aliases(names[1..].iter().copied()).help(*help));
     PossibleValuesParser::new(shown).map(|name| {
-        let found = choices.iter().find(|(_, names, _)| names.contains(&name.as_str()));
+        let is_it = |known: &&str| known.eq_ignore_ascii_case(&name);
+        let found = choices.iter().find(|(_, names, _)| names.iter().any(is_it));
         found.expect("clap has checked the name").0
     })
 }

@@ -3,8 +3,8 @@
 //! **No read-back in a step.** The host does not wait for a step. When its tile lists do not fit their
 //! buffers, or its loss is not finite, the device sets a flag, and from there on no step changes anything.
 //! The host keeps the queued steps and reads the flag before it reads or edits anything. Every 32 steps at
-//! least it asks for the flag, and reads what it asked for the time before: the device is busy meanwhile. After
-//! an overflow the host allocates more and submits the steps that were not done once more.
+//! least it asks for the flag, and reads what it asked for the time before: the device is busy meanwhile.
+//! After an overflow the host allocates more and submits the steps that were not done once more.
 //!
 //! **Out of memory.** Every verb allocates what it needs before it changes anything, so the run can be saved.
 //! Before it fails it is tried once more without the buffers of steps, scores and blends, which can be made

@@ -74,7 +74,8 @@ pub(super) fn images(
     let (mut records, mut lost) = (Vec::new(), Vec::new());
     for image in all {
         let image = image?;
-        match image.rotation.iter().chain(&image.translation).all(|value| value.is_finite()) {
+        let is_finite = image.rotation.iter().chain(&image.translation).all(|value| value.is_finite());
+        match is_finite && image.rotation != [0.0; 4] {
             true => records.push(pose(file, image)?),
             false => lost.push(image.name),
         }

@@ -15,7 +15,7 @@ use super::{
 use crate::error::SceneError;
 use crate::listing::{
     Elsewhere, ListedPhoto, Listing, Purpose, Wanted, absent_notice, all_missing, base_name, inside,
-    left_out, no_photos, separate, similar_notice,
+    left_out, no_photos, settle, similar_notice,
 };
 use crate::photos::Lens;
 use crate::scene::Sight;
@@ -31,11 +31,20 @@ pub(crate) struct PhotoFolder {
 }
 
 impl PhotoFolder {
+    /// Others that are meant where this one has none of the photos.
+    fn beside<'a>(&'a self, list: &'a Path) -> impl Iterator<Item = &'a Path> {
+        [list.parent(), self.path.parent()].into_iter().flatten().filter(|_| self.is_usual)
+    }
+
+    /// This one first.
+    fn all<'a>(&'a self, list: &'a Path) -> Vec<&'a Path> {
+        [&*self.path].into_iter().chain(self.beside(list)).collect()
+    }
+
     /// This one, or that of the list, or that of the scene: the first that has a photo of `images`; and
     /// whether it is another.
     fn settled(&self, images: &[ImageRecord], list: &Path) -> (PathBuf, bool) {
         let own = similar::folder(&self.path);
-        let beside = [list.parent(), self.path.parent()].into_iter().flatten().filter(|_| self.is_usual);
         let has = |folder: &&Path, name: &str| folder.join(name).is_file();
         let has_any = |folder: &&Path| {
             let names = images.iter().map(|image| &*image.name);
@@ -43,7 +52,7 @@ impl PhotoFolder {
                 .filter(|name| inside(name, list).is_ok())
                 .any(|name| has(folder, name) || has(folder, base_name(name)))
         };
-        let found = [&*own].into_iter().chain(beside).find(has_any).map(Path::to_owned);
+        let found = [&*own].into_iter().chain(self.beside(list)).find(has_any).map(Path::to_owned);
         found.filter(|found| *found != own).map_or((own, false), |found| (found, true))
     }
 }
@@ -51,8 +60,9 @@ impl PhotoFolder {
 /// Lists the photos and, if they are wanted, the points and who sees them of the model in `folder`.
 pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) -> Result<Listing, SceneError> {
     let mut model = read_photos(folder)?;
-    model.images.iter_mut().for_each(|image| separate(&mut image.name, &given.path));
     let list = folder.form.file(&folder.path, "images");
+    let folders = given.all(&list);
+    model.images.iter_mut().for_each(|image| settle(&mut image.name, &folders));
     if model.images.is_empty() {
         return Err(no_photos(&list));
     }
@@ -69,8 +79,8 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
         notices.extend(left_out.as_ref().and_then(|left_out| left_out.notice(&list)));
     }
     let doubts = Vec::from_iter(left_out.and_then(|left_out| left_out.doubt(&list)));
-    let mut seen = if wanted.tracks { named(read_seen(folder)?, &given.path) } else { BTreeMap::new() };
-    let mut moments = named(read_moments(folder)?, &given.path);
+    let mut seen = if wanted.tracks { named(read_seen(folder)?, &folders) } else { BTreeMap::new() };
+    let mut moments = named(read_moments(folder)?, &folders);
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
@@ -100,9 +110,9 @@ fn sights(seen: &[Seen], camera: &Camera, lens: Option<&Lens>) -> Vec<Sight> {
 }
 
 /// What is known of photos, by their names as they are here.
-fn named<T>(of_photos: BTreeMap<String, T>, image_folder: &Path) -> BTreeMap<String, T> {
+fn named<T>(of_photos: BTreeMap<String, T>, folders: &[&Path]) -> BTreeMap<String, T> {
     let named = |(mut name, of_photo): (String, T)| {
-        separate(&mut name, image_folder);
+        settle(&mut name, folders);
         (name, of_photo)
     };
     of_photos.into_iter().map(named).collect()

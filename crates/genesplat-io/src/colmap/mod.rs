@@ -128,8 +128,7 @@ pub(crate) fn find_nested_model(scene: &Path) -> Option<ModelFolder> {
 
 /// The model in a folder that is none of a scene: in its `sparse`, in it itself, or in its numbered parts.
 pub(crate) fn find_any_model(folder: &Path) -> Option<ModelFolder> {
-    let model = find_model(folder).or_else(|| find_model_in(folder, ["", ""]))?;
-    model.form.file(&model.path, "images").is_file().then_some(model)
+    find_model(folder).or_else(|| find_model_in(folder, ["", ""]))
 }
 
 fn find_model_in(scene: &Path, [sparse, whole]: [&str; 2]) -> Option<ModelFolder> {
@@ -154,7 +153,9 @@ fn part_models(sparse: &Path) -> Vec<ModelFolder> {
 
 /// The model whose files are in `folder` itself.
 pub(crate) fn model_in(folder: &Path) -> Option<ModelFolder> {
-    let form = [Form::Binary, Form::Text].into_iter().find(|form| form.file(folder, "cameras").is_file())?;
+    let is_whole =
+        |form: &Form| form.file(folder, "cameras").is_file() && form.file(folder, "images").exists();
+    let form = [Form::Binary, Form::Text].into_iter().find(is_whole)?;
     Some(ModelFolder { path: folder.to_owned(), form })
 }
 

@@ -46,8 +46,11 @@ pub(super) fn parameters(
         return Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() });
     };
     if parameters.len() != count {
-        let problem = format!("has {} parameters, and {model} has {count}", parameters.len());
-        return Err(bad_camera(file, camera, problem));
+        let given = parameters.len();
+        let problem = format!(
+            "camera {camera} has {given} parameters, and {model} has {count}; copy or export the file again"
+        );
+        return Err(SceneError::bad_record(file, problem));
     }
     let (pinhole, coefficients) = pinhole_and_rest(model, parameters);
     if let Some(problem) = coefficients_problem(coefficients) {

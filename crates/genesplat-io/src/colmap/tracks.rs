@@ -75,7 +75,8 @@ impl Tracks {
 }
 
 /// The points that each photo of the model in `folder` sees, by the name that the model gives the photo:
-/// their places among the points that [`super::read_model`] reads, rising. Empty where the model does not say.
+/// their places among the points that [`super::read_model`] reads, rising. Empty where the model does not
+/// say.
 pub(super) fn read_seen(folder: &ModelFolder) -> Result<BTreeMap<String, Vec<Seen>>, SceneError> {
     let points = points_file(folder);
     let form = match points.extension().and_then(|ending| ending.to_str()) {

@@ -17,11 +17,11 @@ type Harmonics = [f32; SH_STRIDE];
 /// fern and 32 photos of bonsai, at 160 px, lose without and with it: `.splat` 5.87, 4.90 and 0.51 dB, then
 /// 5.17, 2.65 and 0.12; compressed `.ply` 0.17, 0.05 and 0.07, then 0.06, 0.01 and 0.03.)
 pub fn keep_mean_colours(cloud: &mut Gaussians, format: Format, options: &Options, cameras: &[Camera]) {
-    let degree = if format == Format::Splat { 0 } else { options.sh_degree.min(cloud.sh_degree_in_use()) };
-    let is_rounded = format == Format::CompressedPly;
-    if degree == cloud.sh_degree_in_use() && !is_rounded {
+    if !changes_colours(cloud, format, options) {
         return;
     }
+    let degree = written_degree(format, options).min(cloud.sh_degree_in_use());
+    let is_rounded = rounds_colours(format);
     let written = |row: &Harmonics| {
         let mut written = *row;
         let (kept, left_out) = written.split_at_mut(3 * coefficients(degree));
@@ -32,6 +32,19 @@ pub fn keep_mean_colours(cloud: &mut Gaussians, format: Format, options: &Option
         written
     };
     keep_means(cloud, cameras, written);
+}
+
+/// Whether writing as `format` changes the colours that are seen, so that it counts from where.
+pub fn changes_colours(cloud: &Gaussians, format: Format, options: &Options) -> bool {
+    rounds_colours(format) || written_degree(format, options) < cloud.sh_degree_in_use()
+}
+
+fn written_degree(format: Format, options: &Options) -> u8 {
+    if format == Format::Splat { 0 } else { options.sh_degree }
+}
+
+fn rounds_colours(format: Format) -> bool {
+    format == Format::CompressedPly
 }
 
 /// `written` says what a file has of a Gaussian's harmonics above degree 0.

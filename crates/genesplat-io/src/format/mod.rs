@@ -32,7 +32,7 @@ use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
 use genesplat_core::{Gaussians, ScreenFilter, median, memory};
 
 pub use error::FormatError;
-pub use mean_colours::keep_mean_colours;
+pub use mean_colours::{changes_colours, keep_mean_colours};
 pub use spz::SpzVersion;
 
 use crate::atomic::write_atomically;

@@ -54,8 +54,8 @@ impl Default for PlyOptions {
     }
 }
 
-/// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`]. Only where
-/// positions in double precision are far from their origin, they are moved by [`PlyHeader::offset`].
+/// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`]. Only
+/// where positions in double precision are far from their origin, they are moved by [`PlyHeader::offset`].
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
     read_ply_with_header(path).map(|(_, cloud)| cloud)
 }

@@ -50,22 +50,34 @@ pub(super) fn run(path: &Path) -> Option<SceneError> {
 /// What to do with a COLMAP model of which a file is missing.
 pub(super) fn part_of_model(path: &Path) -> Option<SceneError> {
     let folders = ["sparse/0", "sparse", "", "colmap/sparse/0", "colmap"].map(|folder| path.join(folder));
-    let there = folders.iter().flat_map(|folder| ["images.bin", "images.txt"].map(|name| folder.join(name)));
-    let images = there.into_iter().find(|file| file.is_file())?;
-    let folder = shown(images.parent().unwrap_or(path));
-    let name = shown(images.file_name().unwrap_or_default());
+    let pairs = ["bin", "txt"].map(|ending| ["images", "cameras"].map(|name| format!("{name}.{ending}")));
+    let both_ways = pairs.iter().flat_map(|[images, cameras]| [(images, cameras), (cameras, images)]);
+    let all = folders.iter().flat_map(|folder| both_ways.clone().map(move |pair| (folder, pair)));
+    let (folder, (there, missing)) = all
+        .into_iter()
+        .find(|(folder, (there, missing))| folder.join(there).is_file() && !folder.join(missing).exists())?;
     let problem = format!(
-        "is a part of a COLMAP model: {folder} has no {} beside {name}; copy all files of the model there",
-        name.replace("images", "cameras")
+        "is a part of a COLMAP model: {} has no {missing} beside {there}; copy all files of the model there",
+        shown(folder)
     );
     Some(SceneError::invalid(path, problem))
 }
 
 /// Files and folders with the cameras of programs whose forms are not read: whose they are, and what to do.
-const CAMERAS: [(&str, &str, &str); 3] = [
+const CAMERAS: [(&str, &str, &str); 9] = [
     ("cameras.xml", "Metashape", "export the cameras in COLMAP's form there"),
     ("reconstruction.json", "OpenSfM", "run `opensfm export_colmap` on the dataset"),
     ("keyframes", "Polycam", "run `ns-process-data polycam` of nerfstudio on it"),
+    ("poses_bounds.npy", "LLFF", "take the COLMAP model that they were made of"),
+    ("bundle.out", "Bundler", "export the cameras in COLMAP's form"),
+    ("sfm_data.json", "OpenMVG", "run `openMVG_main_openMVG2Colmap` on it"),
+    ("cameras.sfm", "Meshroom", "export the cameras in COLMAP's form there"),
+    ("cameras.csv", "RealityScan", "export the cameras in COLMAP's form there"),
+    (
+        "cameras.json",
+        "another trainer",
+        "take the COLMAP model that it was given, or rename it to transforms.json if it is such a list",
+    ),
 ];
 
 /// What to do with the cameras of another program.

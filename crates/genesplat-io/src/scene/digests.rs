@@ -18,7 +18,8 @@ pub struct SceneDigests {
     pub photos: Vec<PhotoDigests>,
     /// Of the points in the scene's files, in their order; `None` where they were not loaded.
     pub points: Option<Digest>,
-    /// What has been subtracted from the coordinates of the scene's source; `None` where it is near its origin.
+    /// What has been subtracted from the coordinates of the scene's source; `None` where it is near its
+    /// origin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offset: Option<Offset>,
 }

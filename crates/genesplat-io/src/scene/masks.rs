@@ -1,6 +1,6 @@
-//! Masks of the photos of a scene, in `masks` or `mask` beside them, or among them: `NAME.jpg.png` as COLMAP names them, `NAME.jpg`
-//! or `NAME.png` as nerfstudio does, `NAME.jpg.mask.png` as RealityScan, `NAME_mask.png` as Metashape; in any
-//! case, and with any ending of a picture.
+//! Masks of the photos of a scene, in `masks` or `mask` beside them, or among them: `NAME.jpg.png` as COLMAP
+//! names them, `NAME.jpg` or `NAME.png` as nerfstudio does, `NAME.jpg.mask.png` as RealityScan,
+//! `NAME_mask.png` as Metashape; in any case, and with any ending of a picture.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

@@ -115,8 +115,8 @@ pub struct LoadOptions {
     /// Only so many photos, at even distances: held-out ones, or training photos where none are held out.
     /// `None`: all of them.
     pub sample: Option<NonZeroUsize>,
-    /// What shall have been subtracted from all coordinates, world units; `None`: nothing, or, where the scene
-    /// is far from its origin, what brings it there.
+    /// What shall have been subtracted from all coordinates, world units; `None`: nothing, or, where the
+    /// scene is far from its origin, what brings it there.
     pub offset: Option<Offset>,
     /// Whether [`Scene::seen`] is loaded, too, with the points.
     pub with_tracks: bool,

@@ -12,19 +12,21 @@ use crate::colmap::{ROUND, round};
 use crate::error::SceneError;
 use crate::listing::{bad_pose, check_round, coefficients_problem, intrinsics_problem, position_problem};
 use crate::photos::{self, Lens, Polynomial, Projection};
+use crate::shown;
 
 /// Most that the columns of a pose may differ from a rotation's: writers print few digits.
 const DEVIATION_MAX: f64 = 0.01;
 
-/// Whether a pose has numbers alone: programs write NaN where they have found nothing.
-pub(super) fn is_finite(entry: &PhotoEntry) -> bool {
-    entry.transform_matrix.iter().flatten().all(|value| value.is_finite())
+/// Whether a pose has numbers alone, and is not 0: programs write such where they have found nothing.
+pub(super) fn is_known(entry: &PhotoEntry) -> bool {
+    let is_zero = entry.transform_matrix.iter().take(3).all(|row| row[..3] == [0.0; 3]);
+    !is_zero && entry.transform_matrix.iter().flatten().all(|value| value.is_finite())
 }
 
 /// By how much all poses are scaled, beside their rotation; 1 where they are not, or each by its own.
 pub(super) fn common_scale<'a>(entries: impl Iterator<Item = &'a PhotoEntry>) -> f64 {
     let scale = |entry: &PhotoEntry| Some(columns(entry)?.determinant().cbrt());
-    let mut scales = entries.filter(|entry| is_finite(entry)).filter_map(scale);
+    let mut scales = entries.filter(|entry| is_known(entry)).filter_map(scale);
     let Some(first) = scales.next().filter(|first| *first > 0.0 && first.is_finite()) else { return 1.0 };
     let is_like = |scale: f64| ((scale / first).powi(2) - 1.0).abs() <= DEVIATION_MAX;
     let is_none = (first.powi(2) - 1.0).abs() <= DEVIATION_MAX;
@@ -150,9 +152,15 @@ fn pose(list: &Path, entry: &PhotoEntry, scale: f64) -> Result<(DQuat, DVec3), S
     }
     // A mirror image is no rotation, nor is a scale of one pose alone.
     let deviation = world_from_gl * world_from_gl.transpose() - DMat3::IDENTITY;
-    if deviation.to_cols_array().iter().any(|v| v.abs() > DEVIATION_MAX) || world_from_gl.determinant() < 0.0
-    {
+    if deviation.to_cols_array().iter().any(|v| v.abs() > DEVIATION_MAX) {
         return Err(bad("is not a rotation"));
+    }
+    if world_from_gl.determinant() < 0.0 {
+        let problem = format!(
+            "the pose of photo {} is a mirror image, as in left-handed axes; export the cameras in right-handed ones (OpenGL's)",
+            shown(&entry.file_path)
+        );
+        return Err(SceneError::bad_record(list, problem));
     }
     // OpenGL's camera looks along −z with y up; ours along z with y down.
     let world_from_camera =

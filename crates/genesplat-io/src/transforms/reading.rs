@@ -58,7 +58,7 @@ impl<'a> Reading<'a> {
         purpose: Purpose,
     ) -> Result<(), SceneError> {
         let relative = inside(&entry.file_path, self.list)?;
-        if !camera::is_finite(entry) {
+        if !camera::is_known(entry) {
             self.lost.push(entry.file_path.clone());
             return Ok(());
         }

@@ -229,7 +229,7 @@ fn what_is_not_finite_is_left_out_and_counted_in_both_forms() {
 fn bad_numbers_are_named_in_both_forms() {
     type Spoil = fn(&mut Model);
     let cases: [(Spoil, &str); 9] = [
-        (|m| m.images[1].rotation = [0.0; 4], "pose of photo a b/001.png has a rotation that is zero"),
+        (|m| m.images[1].rotation = [1e-99; 4], "pose of photo a b/001.png has a rotation that is zero"),
         (|m| m.points[4].position[2] = -1e25, "point 5 has a position that lies beyond 1e9 world units"),
         (|m| m.images[1].translation[2] = 1e25, "pose of photo a b/001.png lies beyond 1e9 world units"),
         (

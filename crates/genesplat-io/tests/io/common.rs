@@ -4,9 +4,11 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use genesplat_core::Photo;
+use genesplat_core::{Camera, Photo};
 use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::{Point, photos};
+use glam::{DMat3, DVec3};
+use serde_json::{Value, json};
 
 /// Photos of a [`tiny_model`], px.
 pub(crate) const SIZE: [u32; 2] = [40, 30];
@@ -40,6 +42,17 @@ pub(crate) fn tiny_model(photos: usize) -> Model {
 pub(crate) fn tiny_photo(index: usize, [width, height]: [u32; 2]) -> Photo {
     let rgb = (0..3 * width * height).map(|i| (i as usize * 7 + 31 * index) as u8).collect();
     Photo { width, height, rgb }
+}
+
+/// `world_from_camera` in OpenGL's axes, as `transforms.json` holds it.
+pub(crate) fn matrix(camera: &Camera) -> Value {
+    let world_from_gl = camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let centre = camera.centre_in_world();
+    let row = |axis: usize| {
+        let r = world_from_gl.row(axis);
+        json!([r.x, r.y, r.z, centre[axis]])
+    };
+    json!([row(0), row(1), row(2), [0, 0, 0, 1]])
 }
 
 /// Width and height of a picture of 750 MB.

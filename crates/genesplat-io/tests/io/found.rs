@@ -269,7 +269,13 @@ fn files_that_are_no_scene_are_told_apart() {
 
 #[test]
 fn cameras_of_other_programs_are_told_apart() {
-    for (name, says) in [("cameras.xml", "Metashape"), ("reconstruction.json", "opensfm export_colmap")] {
+    for (name, says) in [
+        ("cameras.xml", "Metashape"),
+        ("reconstruction.json", "opensfm export_colmap"),
+        ("poses_bounds.npy", "LLFF"),
+        ("sfm_data.json", "openMVG2Colmap"),
+        ("cameras.json", "rename it to transforms.json"),
+    ] {
         let folder = tempfile::tempdir().unwrap();
         photos::write_png(&folder.path().join("images/0.png"), &tiny_photo(0, SIZE)).unwrap();
         fs::write(folder.path().join(name), "x").unwrap();

@@ -143,6 +143,70 @@ fn lists_of_cameras_may_be_utf_16() {
 }
 
 /// As one that is absent is; where none is left to train on, the first says why.
+/// As programs write them that list photos where they were taken from.
+#[test]
+fn names_that_lead_out_of_a_folder_are_looked_for_in_it() {
+    for before in ["/home/me/scene/images/", "../photos/", "C:\\Users\\me\\"] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut listed, mut there) = (tiny_model(3), tiny_model(3));
+        let last = |name: &str| name.replace("a b/", "");
+        there.images.iter_mut().for_each(|image| image.name = last(&image.name));
+        listed.images.iter_mut().for_each(|image| image.name = format!("{before}{}", last(&image.name)));
+        write_scene(folder.path(), Form::Text, &there);
+        write_form(&folder.path().join("sparse/0"), Form::Text, &listed);
+        let scene = load(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!(scene.train.len() + scene.test.len(), 3, "{before}");
+        // What is not in the folder is not looked for elsewhere.
+        fs::remove_dir_all(folder.path().join("images")).unwrap();
+        assert!(load(folder.path(), &LoadOptions::default()).is_err(), "{before}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_to_a_photo_that_is_gone_counts_as_an_absent_photo() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(3));
+    let photo = folder.path().join("images/a b/001.png");
+    fs::remove_file(&photo).unwrap();
+    std::os::unix::fs::symlink("gone.png", &photo).unwrap();
+    let scene = load(folder.path(), &LoadOptions::default()).unwrap();
+    assert_eq!(scene.train.len() + scene.test.len(), 2);
+    let [notice] = &scene.notices[..] else { panic!("{:?}", scene.notices) };
+    assert!(notice.starts_with("1 of the 3 photos that") && notice.contains("do not exist"), "{notice}");
+}
+
+/// As programs write where they have found nothing.
+#[test]
+fn a_pose_of_zeros_is_left_out_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = tiny_model(3);
+    write_scene(folder.path(), Form::Text, &model);
+    model.images[1].rotation = [0.0; 4];
+    write_form(&folder.path().join("sparse/0"), Form::Text, &model);
+    let scene = load(folder.path(), &LoadOptions::default()).unwrap();
+    assert_eq!(scene.train.len() + scene.test.len(), 2);
+    let notice = &scene.notices[0];
+    assert!(notice.contains("not finite, or of zeros, and is left out, first a b/001.png"), "{notice}");
+}
+
+#[test]
+fn what_a_model_lacks_is_named() {
+    for (gone, there) in [("images", "cameras"), ("cameras", "images")] {
+        for form in [Form::Text, Form::Binary] {
+            let folder = tempfile::tempdir().unwrap();
+            write_scene(folder.path(), form, &tiny_model(3));
+            let ending = if form == Form::Text { "txt" } else { "bin" };
+            fs::remove_file(folder.path().join(format!("sparse/0/{gone}.{ending}"))).unwrap();
+            let refused = load(folder.path(), &LoadOptions::default()).unwrap_err();
+            assert!(
+                refused.contains(&format!("has no {gone}.{ending} beside {there}.{ending}")),
+                "{refused}"
+            );
+        }
+    }
+}
+
 #[test]
 fn a_damaged_photo_is_left_out_and_counted() {
     let torn: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";

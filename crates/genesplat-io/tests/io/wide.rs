@@ -9,8 +9,10 @@ use std::path::Path;
 use genesplat_core::{Camera, Photo, View};
 use genesplat_io::photos::write_png;
 use genesplat_io::{HoldOut, LoadOptions, PhotoSize, Scene, SceneError, list_scene, load_scene};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
+
+use crate::common::matrix;
 
 /// Of a photo of all around, px.
 const SIZE: [u32; 2] = [192, 96];
@@ -54,17 +56,6 @@ fn around([u, v]: [f64; 2]) -> Option<DVec3> {
 
 fn round_photo(index: usize) -> Photo {
     taken(SIZE, &pose(index), around)
-}
-
-/// `world_from_camera` in OpenGL's axes.
-fn matrix(camera: &Camera) -> Value {
-    let world_from_gl = camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-    let centre = camera.centre_in_world();
-    let row = |axis: usize| {
-        let r = world_from_gl.row(axis);
-        json!([r.x, r.y, r.z, centre[axis]])
-    };
-    json!([row(0), row(1), row(2), [0, 0, 0, 1]])
 }
 
 fn description(photos: usize) -> Value {

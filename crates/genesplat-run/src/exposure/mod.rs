@@ -4,9 +4,9 @@
 //! A photo has three numbers, the factors by which its red, green and blue are brighter than on average of
 //! the training photos (of 8-bit values: the tone curve of a camera makes of a factor of light another one of
 //! values). They are those by which its pixels differ from the colours of COLMAP's points; their logarithms
-//! have the mean 0, so no cast drifts in. What they explain is told by the halves of photos: how much more alike
-//! one half becomes by the gain that the other half tells. Of the logarithms, that share is believed with
-//! which halves are most alike, which may be none.
+//! have the mean 0, so no cast drifts in. What they explain is told by the halves of photos: how much more
+//! alike one half becomes by the gain that the other half tells. Of the logarithms, that share is believed
+//! with which halves are most alike, which may be none.
 //!
 //! A fourth number is their contrast, where that makes halves more alike: the power that a photo follows.
 //!
@@ -205,8 +205,8 @@ impl Exposure {
         only
     }
 
-    /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill` says
-    /// where photos go that are in a file.
+    /// Brings the training photos of `scene`, and its points, to the exposure that training sees; `spill`
+    /// says where photos go that are in a file.
     pub fn bring(&self, scene: &mut Scene, spill: Option<&Spill>) -> Result<()> {
         for point in &mut scene.points {
             point.rgb = point.rgb.map(|value| light::times(value, self.dark));

@@ -20,8 +20,8 @@ const PER_ROOT_PIXEL: f64 = 70.0;
 const PHOTO_PIXELS: f64 = 0.3;
 
 /// Part of what the photos can determine that a run with a denser cloud starts from: the rest grows where it
-/// is needed. (A dense cloud of plush, 600 steps at 160 px: 21.6 dB with all of the cap, 25.4 with half of it,
-/// 26.1 with a quarter.)
+/// is needed. (A dense cloud of plush, 600 steps at 160 px: 21.6 dB with all of the cap, 25.4 with half of
+/// it, 26.1 with a quarter.)
 const DENSE_SHARE: f64 = 0.25;
 
 /// The most Gaussians that density control may grow to, by who says so.

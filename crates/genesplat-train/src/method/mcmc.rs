@@ -6,9 +6,10 @@
 //! which reproduces the published numbers. What is in the scene's units there is so here, but for scenes
 //! whose extent is below 1 or above 10, which are measured as if it were that.
 //!
-//! What differs from gsplat: noise is added at the end of a step, before relocation and not after it, so that a
-//! step is one call of a device; moments of relocated Gaussians are zeroed, since those of the dead row are of
-//! another place; there is no noise above an opacity of 0.28, where it would be below the resolution of f32.
+//! What differs from gsplat: noise is added at the end of a step, before relocation and not after it, so that
+//! a step is one call of a device; moments of relocated Gaussians are zeroed, since those of the dead row are
+//! of another place; there is no noise above an opacity of 0.28, where it would be below the resolution of
+//! f32.
 
 use genesplat_core::backend::McmcStep;
 use genesplat_core::gaussians::logit;

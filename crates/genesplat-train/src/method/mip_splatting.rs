@@ -2,8 +2,8 @@
 //! photos can resolve it, a 2D filter stands for a pixel's area and dims what it widens.
 //!
 //! Yu et al., "Mip-Splatting: Alias-free 3D Gaussian Splatting", CVPR 2024, and its code. Its later releases
-//! grow by the gradients of Gaussian Opacity Fields; here are the published ones. In a stage of the search the
-//! 3D filter stays as it is until the next densification, so that what is scored is what is rendered.
+//! grow by the gradients of Gaussian Opacity Fields; here are the published ones. In a stage of the search
+//! the 3D filter stays as it is until the next densification, so that what is scored is what is rendered.
 
 use genesplat_core::{DensitySignal, ScreenFilter};
 

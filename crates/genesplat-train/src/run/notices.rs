@@ -53,8 +53,8 @@ pub(crate) fn of_white_surroundings(
     Ok(is_missed.then(|| sentence.into()))
 }
 
-/// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`]. Presets take a tenth, which
-/// keeps the interval of densification alone.
+/// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`]. Presets take a tenth,
+/// which keeps the interval of densification alone.
 fn notice_of_kept_intervals(schedule: &Schedule) -> Option<String> {
     const USUAL_SCALE: f64 = 0.1;
     let (config, timeline) = (schedule.config(), schedule.timeline());

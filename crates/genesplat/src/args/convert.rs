@@ -38,12 +38,12 @@ pub(crate) struct ConvertArgs {
     pub(crate) sh_degree: Option<u8>,
     #[command(flatten)]
     pub(crate) placement: PlacementArgs,
-    /// Give back the coordinates of the survey, in double precision: what was subtracted from them, since they
-    /// are far from their origin, is added again. For .ply, which alone has double precision
+    /// Give back the coordinates of the survey, in double precision: what was subtracted from them, since
+    /// they are far from their origin, is added again. For .ply, which alone has double precision
     #[arg(long, conflicts_with_all = ["up", "rotate", "scale", "translate"])]
     pub(crate) georeferenced: bool,
     /// Version of .spz to write [default: 4]
-    #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
+    #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS), ignore_case = true)]
     pub(crate) spz_version: Option<SpzVersion>,
     /// Folder of the scene that the splat shows: say what is lost, in dB, on all photos that training never
     /// saw [default: eight of them of the RUN, if its scene is still there; none for a SPLAT]

@@ -113,7 +113,7 @@ pub(crate) struct InspectArgs {
     #[arg(value_name = "SCENE|SPLAT|RUN")]
     pub(crate) what: PathBuf,
     /// Say what happens when in a training by this method
-    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS))]
+    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS), ignore_case = true)]
     pub(crate) method: Option<MethodName>,
     /// Of so many steps [default: 30000]
     #[arg(long, value_name = "N", requires = "method", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
@@ -162,7 +162,8 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub(crate) out: PathBuf,
     /// Method of the second run; the first is 3dgs
-    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS), default_value = "genesplat")]
+    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS), ignore_case = true)]
+    #[arg(default_value = "genesplat")]
     pub(crate) method: MethodName,
     /// Search after each opacity reset in the second run, as published
     #[arg(long)]
@@ -210,7 +211,7 @@ pub(crate) struct EvaluateArgs {
     pub(crate) data: Option<PathBuf>,
     /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that
     /// it saw
-    #[arg(long, value_name = "SPLIT", value_parser = choice(SPLITS), default_value = "test")]
+    #[arg(long, value_name = "SPLIT", value_parser = choice(SPLITS), ignore_case = true, default_value = "test")]
     pub(crate) split: Split,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
@@ -335,7 +336,7 @@ pub(crate) struct SplatArgs {
 pub(crate) struct ShownOnArgs {
     /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a file,
     /// which does not say, black]
-    #[arg(long, value_name = "COLOUR", value_parser = choice(FIXED_BACKGROUNDS))]
+    #[arg(long, value_name = "COLOUR", value_parser = choice(FIXED_BACKGROUNDS), ignore_case = true)]
     pub(crate) background: Option<Background>,
 }
 

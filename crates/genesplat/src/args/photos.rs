@@ -22,7 +22,7 @@ pub(crate) struct PhotosArgs {
     hold_out: HoldOutArgs,
     /// What masks (masks/NAME.jpg.png, masks/NAME.png and the like beside the photos, black where they hide)
     /// and transparency mean [default: usual]
-    #[arg(long, value_name = "USE", value_parser = choice(MASKS), help_heading = MORE)]
+    #[arg(long, value_name = "USE", value_parser = choice(MASKS), ignore_case = true, help_heading = MORE)]
     mask: Option<MaskUse>,
     /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way
     /// from the middle of the cameras to the farthest of them, if that is less or the scene has no points]

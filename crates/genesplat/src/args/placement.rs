@@ -14,8 +14,8 @@ const SCALE_MAX: f64 = 1e6;
 /// A splat is stood upright, turned, scaled and moved, in this order.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct PlacementArgs {
-    /// Turn the splat so that up becomes this axis: x, y, z, -x, -y or -z. Up is what the cameras of a RUN, or
-    /// of --data, have as up on average, and -y for a file alone [default: as it is]
+    /// Turn the splat so that up becomes this axis: x, y, z, -x, -y or -z. Up is what the cameras of a RUN,
+    /// or of --data, have as up on average, and -y for a file alone [default: as it is]
     #[arg(long, value_name = "AXIS", value_parser = axis, allow_hyphen_values = true)]
     pub(crate) up: Option<Axis>,
     /// Then turn it about x, about y and about z, in degrees, highlights with it [default: 0,0,0]

@@ -106,6 +106,9 @@ fn flags_of_other_trainers_are_understood() {
         );
         assert_eq!(args.machine.device(), Some(DeviceChoice::Gpu), "{words}");
     }
+    for words in ["--method MCMC", "--method 3DGS", "--preset Quick", "--background Black", "--mask OFF"] {
+        assert!(train(&format!("genesplat train a --out b {words}")).is_ok(), "{words}");
+    }
     for wrong in ["--out b", "a --data a --out b", "a --out b --gpu --device cpu"] {
         assert!(train(&format!("genesplat train {wrong}")).is_err(), "{wrong}");
     }

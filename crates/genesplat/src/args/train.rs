@@ -36,7 +36,8 @@ pub(crate) struct TrainArgs {
     #[arg(long, value_name = "DIR", alias = "output")]
     pub(crate) out: PathBuf,
     /// Named settings; flags given here win over them
-    #[arg(long, value_name = "PRESET", value_parser = choice(PRESETS), conflicts_with = "config")]
+    #[arg(long, value_name = "PRESET", value_parser = choice(PRESETS), ignore_case = true)]
+    #[arg(conflicts_with = "config")]
     pub(crate) preset: Option<&'static str>,
     #[command(flatten)]
     pub(crate) schedule: ScheduleArgs,
@@ -48,7 +49,7 @@ pub(crate) struct TrainArgs {
     /// numbers that COLMAP's points tell, and cameras to where photos show that they stand [default: auto].
     /// Renders then show the mean exposure, and test photos are compared with renders at that of training
     /// photos nearby (docs/scenes.md)
-    #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS))]
+    #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS), ignore_case = true)]
     pub(crate) corrections: Option<Corrections>,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:
     /// none]
@@ -135,7 +136,7 @@ pub(crate) const STEPS: [&str; 3] = ["steps", "max-steps", "max-num-iterations"]
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct ScheduleArgs {
     /// Method [default: genesplat]
-    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS))]
+    #[arg(long, value_name = "METHOD", value_parser = choice(METHODS), ignore_case = true)]
     method: Option<MethodName>,
     /// Training steps, one photo each [default: 30000]. More is slower and mostly better; with a few dozen
     /// photos 7000 may be as good. The schedule of genesplat fits into them; those of published methods are
@@ -238,7 +239,7 @@ impl SearchArgs {
 pub(crate) struct ShownArgs {
     /// Colour behind the scene [default: black]. White suits objects cut out of their photos; random keeps
     /// them opaque
-    #[arg(long, value_name = "COLOUR", value_parser = choice(BACKGROUNDS))]
+    #[arg(long, value_name = "COLOUR", value_parser = choice(BACKGROUNDS), ignore_case = true)]
     background: Option<Background>,
     /// Dim Gaussians smaller than a pixel instead of only widening them, so that views from afar do not
     /// swell. Not with --method mip-splatting, which has a filter of its own

@@ -42,8 +42,8 @@ impl Misses {
         });
     }
 
-    /// What is wrong where that are half of the photos or more: the splat in `path` is one of another scene than
-    /// `scene`, or in another frame.
+    /// What is wrong where that are half of the photos or more: the splat in `path` is one of another scene
+    /// than `scene`, or in another frame.
     pub(crate) fn problem(&self, path: &Path, scene: &str) -> Option<String> {
         let Self { missed, all } = *self;
         (all > 0 && 2 * missed >= all).then(|| {

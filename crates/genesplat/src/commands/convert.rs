@@ -52,16 +52,18 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     splat.cloud = clean(splat.cloud, &args.splat)?;
     let photos = photos(&splat, format, args)?;
     say_size("read from", &args.splat, in_file)?;
-    let cameras = cameras(&splat, args)?;
     let mut cloud = cut(&splat.cloud, args)?;
-    let placed = args.placement.similarity(up(&cameras, args));
-    let offset = offset_after(&splat, &placed);
     let options = Options {
         screen_filter: splat.settings.filter,
         sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
         spz_version: args.spz_version.unwrap_or_default(),
-        offset: offset.filter(|_| args.georeferenced),
+        offset: None,
     };
+    let is_asked = args.placement.up.is_some() || format::changes_colours(&cloud, format, &options);
+    let cameras = if is_asked { cameras(&splat, args)? } else { Vec::new() };
+    let placed = args.placement.similarity(up(&cameras, args));
+    let offset = offset_after(&splat, &placed);
+    let options = Options { offset: offset.filter(|_| args.georeferenced), ..options };
     format::keep_mean_colours(&mut cloud, format, &options, &cameras);
     placed.apply(&mut cloud);
     format::write_told(&args.out, format, &cloud, &options, &WriteBar::default())?;

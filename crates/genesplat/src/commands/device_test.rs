@@ -27,8 +27,8 @@ const SETTINGS: RenderSettings = RenderSettings {
     filter: genesplat::core::ScreenFilter::Classic,
 };
 
-/// What both are asked for, and the largest relative L2 distance of their answers. They round differently, and
-/// 32 steps make more of that (1.6e-4 seen).
+/// What both are asked for, and the largest relative L2 distance of their answers. They round differently,
+/// and 32 steps make more of that (1.6e-4 seen).
 const VERBS: [(&str, &str, f64, Verb); 9] = [
     ("pictures", "project, bin, rasterise", 1e-4, pictures),
     ("losses", "loss", 1e-5, losses),

@@ -11,6 +11,7 @@ use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 use genesplat::run::cluster::Cluster;
 use genesplat::run::corrected::{Asked, Corrected};
+use genesplat::run::cost::After;
 use genesplat::run::device::DeviceChoice;
 use genesplat::run::inputs::Inputs;
 use genesplat::run::live::Showing;
@@ -189,7 +190,7 @@ fn iterations_within(
 ) -> Result<u32> {
     let mut device = device::open(config.clone().resolve(machine)?.device)?;
     let left = 60.0 * asked_minutes - began.elapsed().as_secs_f64();
-    let room = minutes::room(left, &config.train, scene, &mut device, lpips)?;
+    let room = minutes::room(left, &config.train, scene, &mut device, After::Scores(lpips))?;
     output::tell(&room.sentence);
     Ok(room.iterations)
 }

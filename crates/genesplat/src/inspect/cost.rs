@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use genesplat::io::Scene;
-use genesplat::run::cost::Cost;
+use genesplat::run::cost::{After, Cost};
 use genesplat::run::device::{DeviceChoice, open};
 use genesplat::run::scene;
 use genesplat::train::{Schedule, virtual_picture_bytes};
@@ -24,7 +24,7 @@ pub(super) struct Needs {
 impl Needs {
     /// Of runs with these settings on this machine's CPU.
     pub(super) fn of(scene: &Scene, schedule: &Schedule) -> Result<Self> {
-        let cost = Cost::tried(&mut open(DeviceChoice::Cpu)?, scene, schedule, None)?;
+        let cost = Cost::tried(&mut open(DeviceChoice::Cpu)?, scene, schedule, After::Scores(None))?;
         let gaussians = cost.steps[1].gaussians;
         let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
         let photo_bytes = (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY)

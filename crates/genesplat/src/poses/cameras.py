@@ -14,9 +14,10 @@ CORRECTIONS = 2
 SETTLED = 1e-6
 
 
-def map_photos(job, models, tell, start=""):
+def map_photos(job, models, tell, start="", keeps_focal=False):
     """Finds cameras and points, or goes on with those of the model in the folder `start`."""
     options = mapping_options(job)
+    options.ba_refine_focal_length = not keeps_focal
     if job["photos"] > FEW:
         hasten(options)
     os.makedirs(models, exist_ok=True)
@@ -44,19 +45,27 @@ def hasten(options):
 
 
 def calibrate(job):
-    """Finds the focal lengths from pairs of photos alone, where there are many and nothing else tells them.
+    """Finds the focal length of one camera from pairs of photos alone, where there are many and nothing else tells it.
 
-    A search that begins with a wrong one may bend what is found first beyond repair.
+    A search that begins with a wrong one may bend what is found first beyond repair; one that does not keep it may, too.
+    Returns whether it is known so.
     """
     # Versions before 4 cannot.
     if job["is_round"] or job["photos"] <= FEW or not hasattr(pycolmap, "calibrate_view_graph"):
-        return
+        return False
+    # Of a search that was ended: the database says no more where a focal length is from.
+    mark = job["database"] + ".calibrated"
+    if os.path.exists(mark):
+        return job["single_camera"]
     with pycolmap.Database.open(job["database"]) as database:
         if any(camera.has_prior_focal_length for camera in database.read_all_cameras()):
-            return
+            return False
     options = pycolmap.ViewGraphCalibrationOptions()
     options.random_seed = SEED
-    pycolmap.calibrate_view_graph(job["database"], options)
+    if not pycolmap.calibrate_view_graph(job["database"], options):
+        return False
+    open(mark, "w").close()
+    return job["single_camera"]
 
 
 def settle(model, options):

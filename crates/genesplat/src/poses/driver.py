@@ -1,12 +1,14 @@
 """Runs one stage of structure from motion with pycolmap. The only argument is a JSON object that says which.
 
 Standard output gets a JSON object a line: {"what": "matches", "done": 3, "total": 50} while a stage is under way. It ends when
-standard input does, since then whoever has started it is gone. Before this part come those with `pairs`, `matching`, `cameras` and `turned`.
+standard input does, since then whoever has started it is gone. Before this part come those with `pairs`, `matching`,
+`cameras`, `sides` and `turned`.
 """
 
 import contextlib
 import json
 import os
+import shutil
 import sys
 import threading
 import time
@@ -14,6 +16,8 @@ import time
 import pycolmap
 
 job = json.loads(sys.argv[1])
+# A model that is to take the place of another has at least such a part of its photos.
+MOSTLY = 0.9
 
 
 def say(**words):
@@ -131,13 +135,14 @@ def find_cameras():
         say(what="cameras", done=registered[0], total=job["photos"])
 
     unquote_names(job["database"])
-    calibrate(job)
-    map_photos(job, job["models"], tell)
+    keeps_focal = calibrate(job)
+    map_photos(job, job["models"], tell, keeps_focal=keeps_focal)
     models = read_models(job["models"])
     if models:
         largest = largest_of(models)
         registered[0] = models[largest].num_reg_images()
         retry_left_out(models[largest], os.path.join(job["models"], largest), tell)
+        mend_sides(os.path.join(job["models"], largest), keeps_focal)
     finish_models()
 
 
@@ -152,6 +157,33 @@ def retry_left_out(model, folder, tell):
     with progress("matches", compared_pairs, len(matched) + len(pairs)):
         match_pairs(job["database"], pairs, job["threads"])
     map_photos(job, folder, tell, start=folder)
+
+
+def mend_sides(folder, keeps_focal):
+    """Where most matches contradict where a group of photos was found, finds cameras without those that agree with it."""
+    old = pycolmap.Reconstruction(folder)
+    doubt = doubted(old, job["database"])
+    if doubt is None:
+        return
+    photos, holding = doubt
+    say(doubted=photos)
+    rows, anew = leave_out(job["database"], holding), job["models"] + "-anew"
+    shutil.rmtree(anew, ignore_errors=True)
+    map_photos(job, anew, lambda: None, keeps_focal=keeps_focal)
+    bring_back(job["database"], rows)
+    models = read_models(anew)
+    if models and is_better(models[largest_of(models)], old):
+        shutil.rmtree(job["models"])
+        os.rename(anew, job["models"])
+        return
+    shutil.rmtree(anew, ignore_errors=True)
+    say(unsure=photos)
+
+
+def is_better(new, old):
+    """Whether more matches agree with it, of all that there are, and few photos are lost."""
+    agreed = [all_agreeing(model, job["database"]) for model in (old, new)]
+    return new.num_reg_images() >= MOSTLY * old.num_reg_images() and agreed[0] < agreed[1] and not doubted(new, job["database"])
 
 
 def finish_models():

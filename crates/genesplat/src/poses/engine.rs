@@ -11,9 +11,10 @@ use genesplat::run::numbers::thousands;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use super::database::{self, Version};
 use super::process;
 use super::stages::{Job, Pairing, Stage};
-use super::summary::{Compared, pairs_of};
+use super::summary::{Compared, none_found, pairs_of};
 use crate::programs::Programs;
 
 /// Names the Python to use.
@@ -23,6 +24,7 @@ const DRIVER: &str = concat!(
     include_str!("pairs.py"),
     include_str!("matching.py"),
     include_str!("cameras.py"),
+    include_str!("sides.py"),
     include_str!("turned.py"),
     include_str!("driver.py")
 );
@@ -43,6 +45,9 @@ const ROUND_MAX_SIDE: u32 = 2 * MAX_SIDE;
 /// Frames of a film before and after one that the program `colmap` compares with it.
 const NEIGHBOURS: &str = "10";
 
+/// What the program `colmap` says, and fails, where photos share too little.
+const NO_MODEL: &str = "failed to create sparse model";
+
 pub(crate) struct Engine {
     tool: Tool,
     programs: Programs,
@@ -59,6 +64,10 @@ pub(crate) struct Said {
     /// Photos without a camera that are tried again, by so many `pairs`.
     pub(crate) retried: Option<usize>,
     pub(crate) pairs: usize,
+    /// Photos of a group that most matches contradict, and cameras are looked for anew.
+    pub(crate) doubted: Option<usize>,
+    /// The same, where that has not helped.
+    pub(crate) unsure: Option<usize>,
     /// What chose the pairs that are matched.
     pub(crate) chosen_by: Option<Vec<String>>,
     pub(crate) compared: Option<Compared>,
@@ -73,6 +82,7 @@ enum Tool {
     },
     Colmap {
         program: PathBuf,
+        version: Option<Version>,
         /// Since version 3.13, options of features are no longer those of SIFT.
         has_feature_options: bool,
     },
@@ -106,7 +116,7 @@ impl Engine {
                 }
                 command
             }
-            Tool::Colmap { program, has_feature_options } => {
+            Tool::Colmap { program, has_feature_options, .. } => {
                 colmap_command(self.programs.command(program), *has_feature_options, stage, job)
             }
         }
@@ -151,6 +161,28 @@ impl Engine {
             self.name()
         );
         Ok(())
+    }
+
+    /// Why a stage has failed: the program `colmap` ends so where it finds no cameras, and it may be older
+    /// than the one that the search has begun with.
+    pub(crate) fn explained(&self, error: anyhow::Error, job: &Job) -> anyhow::Error {
+        if error.to_string().contains(NO_MODEL) {
+            return anyhow!(none_found(job.photos));
+        }
+        let own = match &self.tool {
+            Tool::Pycolmap { version, .. } => database::version_in(version),
+            Tool::Colmap { version, .. } => *version,
+        };
+        let (Some(own), Some(by)) = (own, database::written_by(&job.database)) else { return error };
+        if own >= by {
+            return error;
+        }
+        let ([own_major, own_minor], [major, minor]) = (own, by);
+        anyhow!(
+            "{} is COLMAP {own_major}.{own_minor}, and does not read what COLMAP {major}.{minor} has written, with which this search was \
+             begun; go on with that one ({PYTHON} names a Python that has it), or choose another --out",
+            self.name()
+        )
     }
 
     /// Asks the program `colmap` for the errors that pycolmap has said already.
@@ -210,6 +242,7 @@ impl Tool {
                 output_of(programs.command(&program).args(["feature_extractor", "-h"])).unwrap_or_default();
             return Ok(Self::Colmap {
                 program,
+                version: database::version_in(&help),
                 has_feature_options: help.contains("--FeatureExtraction.use_gpu"),
             });
         }
@@ -290,7 +323,8 @@ fn colmap_command(mut colmap: Command, has_feature_options: bool, stage: Stage, 
             colmap.args([format!("--{matching}.use_gpu"), "0".into()]);
             colmap.args([format!("--{matching}.num_threads"), threads]);
             if is_sequence {
-                // Since version 4, neighbours at distances of powers of two would take the place of the others.
+                // Since version 4, neighbours at distances of powers of two would take the place of the
+                // others.
                 colmap.args(["--SequentialMatching.overlap", NEIGHBOURS]);
                 colmap.args(["--SequentialMatching.quadratic_overlap", "0"]);
             }
@@ -367,7 +401,8 @@ mod tests {
 
     #[test]
     fn what_both_say_is_heard() {
-        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let tool =
+            Tool::Colmap { program: "colmap".into(), version: Some([3, 13]), has_feature_options: true };
         let colmap = Engine { tool, programs: Programs::default() };
         let done = |engine: &Engine, stage, line: &str| engine.hear(stage, line).done;
         assert_eq!(done(&colmap, Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
@@ -386,7 +421,8 @@ mod tests {
 
     #[test]
     fn the_program_compares_all_photos_and_says_that_this_is_slow() {
-        let tool = Tool::Colmap { program: "colmap".into(), has_feature_options: true };
+        let tool =
+            Tool::Colmap { program: "colmap".into(), version: Some([3, 13]), has_feature_options: true };
         let colmap = Engine { tool, programs: Programs::default() };
         let unordered = Job { photos: 178, pairing: Pairing::Looks, ..job() };
         let notice = colmap.notice(&unordered).unwrap();

@@ -4,6 +4,7 @@
 //! `OUT/poses/`: a stage that is marked as done there is not done again, so a search that was stopped goes on
 //! where it was.
 
+mod database;
 mod engine;
 mod heic;
 mod masks;

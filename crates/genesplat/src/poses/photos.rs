@@ -13,6 +13,7 @@ use genesplat::io::{
     PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, Visited, convert, input, mask_beside, names, own, plural, shown,
 };
 use genesplat::run::files::{make_own_folder, unwritable, write_own_json};
+use genesplat::run::session::is_run;
 use genesplat::run::{output, preparing};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -56,6 +57,7 @@ impl Source {
     pub(crate) fn open(path: &Path, frames: Option<u32>) -> Result<Self> {
         let shown = shown(path);
         ensure!(path.exists(), "{shown} does not exist; give a folder of photos, or a video");
+        ensure!(!is_run(path), "{shown} is the folder of a run; give a folder of photos, or a video");
         if path.is_file() && !is_zip(path) {
             ensure!(
                 is_video(path),
@@ -67,7 +69,7 @@ impl Source {
         if path.is_file() {
             return Ok(Self::Archive { path: path.to_owned() });
         }
-        photos_of(path).map(Self::Folder)
+        photos_of(path, path).map(Self::Folder)
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -162,7 +164,7 @@ impl Source {
             Self::Archive { path } => {
                 let unpacked = work.join(UNPACKED);
                 unpacked::unpack(path, &unpacked)?;
-                photos_of(&unpacked)?.without_damaged()?.put(images).map(|()| true)
+                photos_of(&unpacked, path)?.without_damaged()?.put(images).map(|()| true)
             }
             Self::Video { path, frames } => {
                 // Ffmpeg is a process of its own, which is to end first.
@@ -173,7 +175,8 @@ impl Source {
     }
 }
 
-/// Whether a file is a video: by a usual name, or by what ffmpeg finds in it. It takes a photo for a short one.
+/// Whether a file is a video: by a usual name, or by what ffmpeg finds in it. It takes a photo for a short
+/// one.
 fn is_video(path: &Path) -> bool {
     let has = |endings: &[&str]| has_ending(&path.to_string_lossy(), endings);
     let is_photo = has(&PHOTO_ENDINGS) || has(&UNREAD);
@@ -195,10 +198,11 @@ pub(crate) fn forget(scene: &Path, work: &Path) {
     let _ = fs::remove_file(work.join(RECORD));
 }
 
-/// The photos in `path`; fails where there are none, and tells of pictures that are not read.
-fn photos_of(path: &Path) -> Result<Photos> {
+/// The photos in `path`; fails where there are none, and tells of pictures that are not read, by what was
+/// given.
+fn photos_of(path: &Path, given: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
-    let (Found { mut photos, others, masks, beside: among }, shown) = (list(&folder)?, shown(path));
+    let (Found { mut photos, others, masks, beside: among }, shown) = (list(&folder)?, shown(given));
     let (heic, others): (Vec<_>, Vec<_>) = others.into_iter().partition(|name| is_heic(name));
     // An earlier search has left these where the photos lie in the scene.
     let sources = photos.iter().filter(|name| is_webp(name)).chain(&heic);

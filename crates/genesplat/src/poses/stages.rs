@@ -162,7 +162,8 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
         }
         let mut listener =
             Listener { engine, stage, bar: None, outcome: &mut outcome, chosen_by: Vec::new() };
-        if !listener.run(job, work, &log, stop)? {
+        let ended = listener.run(job, work, &log, stop);
+        if !ended.map_err(|error| engine.explained(error, job))? {
             return Ok(None);
         }
         // The last stage ends with the summary, which is its mark.
@@ -251,6 +252,18 @@ impl Listener<'_> {
                 plural(photos, "photo has", "photos have"),
                 plural(photos, "is", "are"),
                 thousands(said.pairs)
+            ));
+        }
+        if let Some(photos) = said.doubted {
+            output::tell(&format!(
+                "most of what {photos} photos share with the others contradicts where they were found, as where sides look alike; \
+                 cameras are looked for once more, without what misleads"
+            ));
+        }
+        if let Some(photos) = said.unsure {
+            output::tell(&format!(
+                "notice: {photos} photos may be in a wrong place: most of what they share with the others contradicts it; take more \
+                 photos where things that look alike are seen together, or leave some out"
             ));
         }
         self.chosen_by = said.chosen_by.unwrap_or_else(|| std::mem::take(&mut self.chosen_by));

@@ -75,6 +75,14 @@ impl Compared {
     }
 }
 
+/// Why a search has found no model.
+pub(crate) fn none_found(photos: usize) -> String {
+    format!(
+        "no cameras were found for these {photos} photos; they need to show the same things from places that differ by small steps, \
+         sharp and with texture: take more, and walk around what you photograph"
+    )
+}
+
 /// How many pairs there are of so many photos.
 pub(crate) fn pairs_of(photos: usize) -> usize {
     photos * photos.saturating_sub(1) / 2
@@ -100,11 +108,7 @@ impl Summary {
             .sort_by(|(a_name, a), (b_name, b)| b.images.len().cmp(&a.images.len()).then(a_name.cmp(b_name)));
         let mut found = found.into_iter();
         let Some((name, model)) = found.next() else {
-            bail!(
-                "no cameras were found for these {} photos; they need to show the same things from places that differ by small steps, \
-                 sharp and with texture: take more, and walk around what you photograph",
-                names.len()
-            );
+            bail!(none_found(names.len()));
         };
         let registered: HashSet<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
         let is_left_out = |name: &str| !registered.contains(name);

@@ -112,8 +112,14 @@ pub(crate) fn take_frames(
 
 fn probe(ffmpeg: &mut Command, video: &Path) -> Result<Video> {
     ask(ffmpeg, video)?.ok_or_else(|| {
-        let problem = "of which ffmpeg cannot tell length and frame rate; convert it to MP4";
-        anyhow!("{} is a video {problem}", shown(video))
+        let problem = match fs::metadata(video).is_ok_and(|file| file.len() == 0) {
+            true => "is an empty file; copy it again",
+            false => {
+                "has no pictures of which ffmpeg can tell length and frame rate; copy it again, since it may be cut off, or convert \
+                 it to MP4 with H.264"
+            }
+        };
+        anyhow!("{} {problem}", shown(video))
     })
 }
 

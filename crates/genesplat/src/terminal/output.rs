@@ -242,8 +242,8 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     }
 }
 
-/// A line of scores at the exposure that photos are expected to have, with the PSNR at that which shared points
-/// give them and after a fit of colours; the same line where photos keep their exposure.
+/// A line of scores at the exposure that photos are expected to have, with the PSNR at that which shared
+/// points give them and after a fit of colours; the same line where photos keep their exposure.
 pub fn with_exposure(line: String, others: Option<[Option<f64>; 2]>) -> String {
     match others {
         Some([Some(at_track), Some(fitted)]) => format!(

@@ -103,6 +103,22 @@ fn what_a_run_loses_is_said_by_itself() {
     assert_eq!(lost(&String::from_utf8(output.stdout).unwrap()), None);
 }
 
+/// A PLY keeps all colours, so it does not count from where they are seen.
+#[test]
+fn cameras_are_asked_for_only_where_a_format_changes_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let (moved, run_folder) = (folder.path().join("scene"), folder.path().join("run"));
+    copy_scene(&moved);
+    succeed(train(&moved, &run_folder, &["--iterations", "3", "--no-lpips"]));
+    std::fs::write(moved.join("sparse/0/images.bin"), "damaged").unwrap();
+    for (out, is_told) in [("a.ply", false), ("a.compressed.ply", true)] {
+        let output = run(["convert", text(&run_folder), text(&folder.path().join(out))]);
+        let notice = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{notice}");
+        assert_eq!(notice.contains("colours are written as they are"), is_told, "{out}: {notice}");
+    }
+}
+
 /// The scene with cameras that are turned, scaled and moved.
 fn write_moved(folder: &Path, by: &Similarity) {
     copy_scene(folder);

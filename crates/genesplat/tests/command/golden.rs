@@ -13,8 +13,8 @@ use genesplat::io::photos::write_png;
 
 use crate::support::{cloud, copy_scene, json, number, scene, succeed, text, train};
 
-/// A run: its name, its flags, the hash of its splat where such a machine has made it, its PSNR on test photos,
-/// its Gaussians.
+/// A run: its name, its flags, the hash of its splat where such a machine has made it, its PSNR on test
+/// photos, its Gaussians.
 type Case = (&'static str, &'static [&'static str], Option<u64>, f64, u64);
 
 const GENETIC: [&str; 5] = ["--genetic", "--generations", "3", "--population", "8"];

@@ -205,12 +205,16 @@ fn photos_without_a_camera_are_tried_again_with_all_that_have_one() {
     assert!(number(&summary["compared"]["pairs"]) >= left + registered - 1.0, "{summary}");
 }
 
-/// COLMAP numbers photos as threads get done with them, if it is left to it, and finds other cameras each time.
+/// COLMAP numbers photos as threads get done with them, if it is left to it, and finds other cameras each
+/// time.
 #[test]
 fn photos_have_numbers_by_their_names() {
     let folder = tempfile::tempdir().unwrap();
     let Some(python) = python_with("pycolmap") else { return };
     let Some(photos) = small_photos(folder.path()) else { return };
+    // A thread that has the first photo is done with it long after the others are with theirs.
+    let first = photos.join("00.png");
+    write_png(&first, &resize(&read_photo(&first).unwrap(), 1080, 1920)).unwrap();
     let out = folder.path().join("scene");
     let poses = with_python(&python, &["poses", text(&photos), "--out", text(&out), "--threads", "3"]);
     assert!(poses.status.success(), "{}", said(&poses));
@@ -235,6 +239,56 @@ fn a_search_goes_on_with_the_camera_that_it_began_with() {
     assert!(poses.status.success(), "{}", said(&poses));
     assert_eq!(counted(&python, &database, &["SELECT COUNT(*) FROM cameras"]), 1.0);
     assert!(said(&poses).contains("compared all 66 pairs of photos"), "{}", said(&poses));
+}
+
+/// A group of photos that is moved, as one is that look-alikes hold in a wrong place.
+#[test]
+fn a_group_that_most_matches_contradict_is_doubted() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let script = format!(
+        "{}\n{}",
+        include_str!("../../src/poses/sides.py"),
+        r#"
+import sys
+options = pycolmap.SyntheticDatasetOptions()
+options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig, options.num_points3D = 1, 1, 24, 400
+path, shift = sys.argv[1], np.array([0.7, 0, 0])
+pycolmap.set_random_seed(0)
+with pycolmap.Database.open(path) as database:
+    true = pycolmap.synthesize_dataset(options, database)
+moved = set(sorted(true.reg_image_ids())[:9])
+wrong = pycolmap.Reconstruction()
+for camera in true.cameras.values():
+    wrong.add_camera_with_trivial_rig(camera)
+for number, image in true.images.items():
+    pose = image.cam_from_world()
+    if number in moved:
+        pose = pose * pycolmap.Rigid3d(pycolmap.Rotation3d(), -shift)
+    points = np.array([point.xy for point in image.points2D])
+    photo = pycolmap.Image(name=image.name, keypoints=points, camera_id=image.camera_id, image_id=number)
+    wrong.add_image_with_trivial_frame(photo, pose)
+for index, point in enumerate(true.points3D.values()):
+    sides = [], []
+    for element in point.track.elements:
+        sides[element.image_id in moved and index % 20 > 0].append(element)
+    for side, place in zip(sides, (point.xyz, point.xyz + shift)):
+        if side:
+            wrong.add_point3D(place, pycolmap.Track(elements=side), point.color)
+assert doubted(true, path) is None
+assert all_agreeing(true, path) > all_agreeing(wrong, path) > 0
+photos, holding = doubted(wrong, path)
+assert photos == 9, photos
+before = sqlite3.connect(path).execute("SELECT SUM(rows) FROM two_view_geometries").fetchone()
+pairs = [(a, b) for a in sorted(moved) for b in sorted(set(true.images) - moved)][:5]
+rows = leave_out(path, pairs)
+after = sqlite3.connect(path).execute("SELECT SUM(rows) FROM two_view_geometries").fetchone()
+assert after < before and len(rows) == 5
+bring_back(path, rows)
+assert sqlite3.connect(path).execute("SELECT SUM(rows) FROM two_view_geometries").fetchone() == before
+"#
+    );
+    told(&python, &script, &[text(&folder.path().join("database.db"))]);
 }
 
 /// COLMAP stops at the first scale at which it has enough.

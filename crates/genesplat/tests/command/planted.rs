@@ -81,8 +81,8 @@ impl Planted {
         own
     }
 
-    /// The command in the folder of the photos, which `PATH` and `PYTHONPATH` name in several ways; by its whole name only
-    /// where the command knows that photos are there.
+    /// The command in the folder of the photos, which `PATH` and `PYTHONPATH` name in several ways; by its
+    /// whole name only where the command knows that photos are there.
     fn run(&self, arguments: &[&str], path: &[&Path]) -> Output {
         let list = |own: &[&Path]| -> OsString {
             let strange = [Path::new(""), Path::new("."), Path::new("../photos"), &self.photos];

@@ -97,7 +97,7 @@ fn cameras_are_found_by_the_program_colmap() {
     fs::create_dir(&only).unwrap();
     std::os::unix::fs::symlink(colmap, only.join("colmap")).unwrap();
     let poses = command(["poses", text(&photos), "--out", text(&found)])
-        .env("PATH", only)
+        .env("PATH", &only)
         .env_remove("GENESPLAT_PYTHON")
         .output()
         .unwrap();
@@ -106,6 +106,35 @@ fn cameras_are_found_by_the_program_colmap() {
     assert!(number(&summary["registered"]) >= 10.0 && number(&summary["points"]) > 300.0, "{summary}");
     assert!(number(&summary["reprojection_error_px"]) < 1.0, "{summary}");
     assert!(read_model(&find_model(&found).unwrap()).unwrap().images.len() >= 10);
+    // Photos that share nothing are told of in the same words as by pycolmap.
+    let blank = folder.path().join("blank");
+    for index in 0..4 {
+        let rgb = vec![50 * index; 3 * 64 * 48];
+        write_png(&blank.join(format!("{index}.png")), &Photo { width: 64, height: 48, rgb }).unwrap();
+    }
+    let nothing = command(["poses", text(&blank), "--out", text(&folder.path().join("nothing"))])
+        .env("PATH", &only)
+        .env_remove("GENESPLAT_PYTHON")
+        .output()
+        .unwrap();
+    judge_failure(nothing, &["no cameras were found for these 4 photos", "take more"]);
+    // Which fails as Debian's does on what pycolmap has begun.
+    let old = folder.path().join("old/colmap");
+    fs::create_dir(old.parent().unwrap()).unwrap();
+    let script = "#!/bin/sh\ncase \"$*\" in *-h) echo 'COLMAP 3.8 (Commit Unknown)' ;; *) echo 'SQL logic error' >&2; exit 1 ;; esac\n";
+    fs::write(&old, script).unwrap();
+    fs::set_permissions(&old, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+    let database = found.join("poses/database.db");
+    let mut bytes = fs::read(&database).unwrap();
+    bytes[60..64].copy_from_slice(&4_020_100_u32.to_be_bytes());
+    fs::write(&database, &bytes).unwrap();
+    fs::remove_file(found.join("poses/summary.json")).unwrap();
+    let by_old = command(["poses", text(&photos), "--out", text(&found)])
+        .env("PATH", old.parent().unwrap())
+        .env_remove("GENESPLAT_PYTHON")
+        .output()
+        .unwrap();
+    judge_failure(by_old, &["is COLMAP 3.8, and does not read what COLMAP 4.2 has written"]);
 }
 
 /// Where a camera has its y axis, in the world.

@@ -9,11 +9,11 @@ use std::path::Path;
 use genesplat_core::Camera;
 use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_io::{HoldOut, LoadOptions, Scene, load_scene, photos};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
 use self::points::ascii_points;
-use crate::common::tiny_photo;
+use crate::common::{matrix, tiny_photo};
 
 /// A camera of a photo of 40x30 px.
 fn camera(index: usize) -> Camera {
@@ -26,17 +26,6 @@ fn camera(index: usize) -> Camera {
         camera_from_world_translation: DVec3::new(0.1, index as f64, 3.0),
         near: NEAR_DEPTH,
     }
-}
-
-/// `world_from_camera` in OpenGL's axes, as these files hold it.
-fn matrix(camera: &Camera) -> Value {
-    let world_from_gl = camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-    let centre = camera.centre_in_world();
-    let row = |axis: usize| {
-        let r = world_from_gl.row(axis);
-        json!([r.x, r.y, r.z, centre[axis]])
-    };
-    json!([row(0), row(1), row(2), [0, 0, 0, 1]])
 }
 
 fn frames(range: std::ops::Range<usize>, path: impl Fn(usize) -> String) -> Vec<Value> {

@@ -31,6 +31,21 @@ fn one_scale_of_all_poses_is_divided_out() {
     assert!(refused.contains("images/1.png is not a rotation"), "{refused}");
 }
 
+/// As engines with left-handed axes write them.
+#[test]
+fn mirrored_poses_are_told_apart() {
+    let mut description = nerfstudio();
+    for frame in 0..3 {
+        for row in 0..3 {
+            let value = &mut description["frames"][frame]["transform_matrix"][row][0];
+            *value = json!(-value.as_f64().unwrap());
+        }
+    }
+    let refused = load_description(&description).unwrap_err().to_string();
+    assert!(refused.contains("images/0.png is a mirror image, as in left-handed axes"), "{refused}");
+    assert!(!refused.contains("remove the photo"), "{refused}");
+}
+
 #[test]
 fn one_angle_is_enough() {
     for (key, side) in [("camera_angle_x", 40.0), ("camera_angle_y", 30.0)] {
@@ -75,6 +90,10 @@ fn what_is_not_finite_is_ignored_left_out_or_told() {
         let focal = load_text(&whole.replace("\"fl_x\":44", &format!("\"fl_x\":{word}"))).unwrap_err();
         assert!(focal.contains("focal length that is not a positive number"), "{focal}");
     }
+    let mut zero = nerfstudio();
+    zero["frames"][1]["transform_matrix"] = json!([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]);
+    let scene = load_text(&zero.to_string()).unwrap();
+    assert_eq!(scene.train.len() + scene.test.len(), 2, "{:?}", scene.notices);
     let all = whole.replace("\"transform_matrix\":[[", "\"transform_matrix\":[[NaN,0,0,0],[");
     assert!(load_text(&all).unwrap_err().contains("is not finite"));
     // The place is that of the file.

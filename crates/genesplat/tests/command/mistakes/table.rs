@@ -42,7 +42,7 @@ pub(super) const SCENES: &[Mistake] = &[
             place.write("scene.zip", "PK");
             place.trains("scene.zip", &[])
         },
-        Says(&["scene.zip cannot be read", "unpack it by hand"]),
+        Says(&["scene.zip cannot be read", "copy or download it again, or unpack it by hand"]),
     ),
     (
         |place| {
@@ -400,7 +400,7 @@ pub(super) const MODELS: &[Mistake] = &[
             fs::remove_file(place.at("scene/sparse/0/images.bin")).unwrap();
             place.trains("scene", &[])
         },
-        Says(&["cannot read", "images.bin"]),
+        Says(&["sparse/0 has no images.bin beside cameras.bin", "copy all files"]),
     ),
     (
         |place| {
