@@ -227,6 +227,11 @@ pub fn load_scene(
 }
 
 impl Scene {
+    /// Whether the scene has no points of its own, and those that it starts from are random.
+    pub fn starts_from_random(&self) -> bool {
+        self.digests.points == Some(digests::of_points(&[]))
+    }
+
     /// The name of the photo that the view of this name shows, or a part of.
     pub fn photo_of<'a>(&'a self, view: &'a str) -> &'a str {
         self.whole.get(view).map_or(view, |photo| photo)

@@ -95,7 +95,7 @@ pub fn told_by_photos(
     stop: &AtomicBool,
 ) -> Result<Option<Cameras>> {
     let photos: Vec<&[View]> = by_photo(scene, &scene.train).collect();
-    let mut pilot = Pilot::new(device, &photos, &scene.points, config, stop)?;
+    let mut pilot = Pilot::new(device, &photos, scene, config, stop)?;
     let explained = pilot.worth()?;
     output::detail(&format!(
         "a first motion of cameras explains {:.1} % of how photos differ from a cloud",

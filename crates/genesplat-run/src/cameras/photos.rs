@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
 use genesplat_core::{Camera, RenderSettings, View, median};
-use genesplat_io::Point;
+use genesplat_io::{Point, Scene};
 use genesplat_train::observe::StepLog;
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Observer, Start, TrainConfig, train};
@@ -19,12 +19,14 @@ use super::align::{Aligned, Pixel, align};
 use super::common::without_common;
 use super::motion::Motion;
 use crate::device::Device;
-use crate::scene;
+use crate::scene::coloured;
 
 /// Photos are halved until their longer side has at most so many pixels.
 const SIDE_PX: u32 = 300;
 /// A cloud sees each photo so many times, and photos so many times at least.
 const LOOKS: u32 = 5;
+/// The first where training starts from random points.
+const LOOKS_FROM_RANDOM: u32 = 15;
 const STEPS_MIN: u32 = 200;
 /// The length of the run, in those steps, of which they are the first: rates and growth are those of its
 /// start.
@@ -42,6 +44,7 @@ pub(super) struct Pilot<'a> {
     device: &'a mut Device,
     config: TrainConfig,
     points: Vec<ColouredPoint>,
+    looks: u32,
     stop: &'a AtomicBool,
     /// Small, by photo: the views of one are parts of it.
     photos: Vec<Vec<View>>,
@@ -50,22 +53,23 @@ pub(super) struct Pilot<'a> {
 }
 
 impl<'a> Pilot<'a> {
-    /// For photos with these views, in a scene with these points; what it trains is as in a run with
-    /// `config`.
+    /// For the photos of `scene` with these views; what it trains is as in a run with `config`.
     pub(super) fn new(
         device: &'a mut Device,
         photos: &[&[View]],
-        points: &[Point],
+        scene: &Scene,
         config: &TrainConfig,
         stop: &'a AtomicBool,
     ) -> Result<Self> {
+        let points = &scene.points;
+        let looks = if scene.starts_from_random() { LOOKS_FROM_RANDOM } else { LOOKS };
         let photos: Vec<Vec<View>> =
             photos.iter().map(|views| views.iter().map(small).collect()).collect::<Result<_>>()?;
         let cameras: Vec<Camera> = photos.iter().flatten().map(|view| view.camera).collect();
         let depth = median_depth(&cameras, points).unwrap_or(1.0);
-        let (config, points) = (config.clone(), scene::coloured(points));
+        let (config, points) = (config.clone(), coloured(points));
         let pixel = Pixel::of(&cameras[0], depth);
-        Ok(Self { device, config, points, stop, photos, pixel })
+        Ok(Self { device, config, points, looks, stop, photos, pixel })
     }
 
     /// What a motion of the cameras of some photos explains of how these differ from a cloud.
@@ -104,7 +108,7 @@ impl<'a> Pilot<'a> {
     /// A new cloud, for a few looks at each photo.
     fn train(&mut self) -> Result<()> {
         let views: Vec<View> = self.photos.iter().flatten().cloned().collect();
-        let steps = (LOOKS * views.len() as u32).max(STEPS_MIN);
+        let steps = (self.looks * views.len() as u32).max(STEPS_MIN);
         let iterations = (WHOLE * f64::from(steps)) as u32;
         let config = TrainConfig { iterations, checkpoint_every: 0, genetic: None, ..self.config.clone() };
         let reached = AtomicBool::new(false);
