@@ -198,7 +198,9 @@ mod tests {
         let scene = generate(&options).into_scene(HoldOut::default());
         let mut device = open(DeviceChoice::Cpu).unwrap();
         for (name, are_seen) in [(MethodName::Genesplat, true), (MethodName::ThreeDgs, false)] {
-            let schedule = TrainConfig::of(name).resolve().unwrap();
+            // Fifty looks at each photo.
+            let config = TrainConfig { iterations: 400, ..TrainConfig::of(name) };
+            let schedule = config.resolve().unwrap();
             let cost = Cost::tried(&mut device, &scene, &schedule, After::Nothing).unwrap();
             let of_whole = cost.steps.map(|tried| tried.seconds);
             assert_eq!(cost.coarse_steps != of_whole, are_seen, "{name:?}: {cost:?}");

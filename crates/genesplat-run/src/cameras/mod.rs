@@ -37,6 +37,8 @@ const FINE_PX: f64 = 0.2;
 const POINTS_WORTH: f64 = 0.5;
 /// Photos move cameras where that explains this of how they differ from a cloud.
 const PHOTOS_WORTH: f64 = 0.05;
+/// Fewer photos agree by chance.
+const PHOTOS_MIN: usize = 8;
 /// Shorter runs have no time for it.
 const ITERATIONS_MIN: f64 = 1500.0;
 
@@ -95,8 +97,18 @@ pub fn told_by_photos(
     stop: &AtomicBool,
 ) -> Result<Option<Cameras>> {
     let photos: Vec<&[View]> = by_photo(scene, &scene.train).collect();
+    if photos.len() < PHOTOS_MIN {
+        return Ok(None);
+    }
     let mut pilot = Pilot::new(device, &photos, scene, config, stop)?;
-    let explained = pilot.worth()?;
+    let explained = match pilot.worth() {
+        Ok(explained) => explained,
+        // The run itself says it better.
+        Err(error) => {
+            output::detail(&format!("whether cameras stand where they should is not told: {error:#}"));
+            return Ok(None);
+        }
+    };
     output::detail(&format!(
         "a first motion of cameras explains {:.1} % of how photos differ from a cloud",
         100.0 * explained

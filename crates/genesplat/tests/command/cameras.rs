@@ -18,9 +18,9 @@ fn photographed() -> Gallery {
     gallery::generate(&GalleryOptions { width: 64, height: 48, views: 16, points: 400, seed: 5 })
 }
 
-/// About a degree, another one for each photo.
+/// A few degrees, others for each photo.
 fn disturbed(at: usize, camera: &Camera) -> Camera {
-    let wave = |phase: f64| 0.02 * (5.1 * at as f64 + phase).sin();
+    let wave = |phase: f64| 0.06 * (5.1 * at as f64 + phase).sin();
     let turn = DQuat::from_scaled_axis(DVec3::new(wave(0.0), wave(2.0), wave(4.0)));
     let camera_from_world_rotation = camera.camera_from_world_rotation * turn;
     let camera_from_world_translation = -(camera_from_world_rotation * camera.centre_in_world());
@@ -78,7 +78,7 @@ fn cameras_go_back_to_where_they_stood_and_every_command_has_them_there() {
     write_scene(&right, &gallery, |_, camera| *camera);
     let output = run(train(&scene, &first, &["--iterations", "60"]));
     let told = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && told.contains("16 cameras are moved, by 1."), "{told}");
+    assert!(output.status.success() && told.contains("16 cameras are moved, by "), "{told}");
     // Right ones keep every bit.
     let said = run(train(&right, &of_right, &["--iterations", "60"]));
     assert!(!String::from_utf8(said.stderr).unwrap().contains("are moved"));
