@@ -1,7 +1,7 @@
 //! Cameras that are not quite right, moved before training.
 //!
 //! Where the reconstruction says which points photos show, and where (COLMAP's features), a camera is moved to
-//! where these points lie on its photo ([`points`]); test cameras, too. Elsewhere training cameras are moved
+//! where these points lie on its photo (`points.rs`); test cameras, too. Elsewhere training cameras are moved
 //! to where photos and clouds agree (`photos.rs`), and test cameras stay: no test photo is looked at. Either is
 //! done only where it explains much of what does not fit, so cameras that are right keep every bit.
 
