@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::camera::Camera;
 use crate::constants::{ADAM_BETA1, ADAM_BETA2, CLASSIC_DILATION, MIP_DILATION};
+use crate::depth_map::DepthMap;
 use crate::gaussians::Gaussians;
 use crate::image::{Mask, Photo};
 use crate::rng::Rng;
@@ -24,6 +25,8 @@ pub struct View {
     pub photo: StoredPhoto,
     /// `None` where all of its pixels count.
     pub mask: Option<Arc<Mask>>,
+    /// How far away what it shows is, as large as the photo; `None` where nobody measured it.
+    pub depth: Option<DepthMap>,
 }
 
 impl View {
@@ -60,6 +63,20 @@ impl ScreenFilter {
     }
 }
 
+/// What is blended for each Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub enum Channels {
+    /// Its colour as the camera sees it.
+    #[default]
+    Rgb,
+    /// `[nearest / z, 1, 0]` with z along the axis of the camera, before black: inverse depth, and how much
+    /// of a pixel is covered.
+    InverseDepth {
+        /// The depth that is 1, world units.
+        nearest: f32,
+    },
+}
+
 /// What a render depends on besides the cloud and the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
@@ -69,11 +86,13 @@ pub struct RenderSettings {
     pub background: [f32; 3],
     /// Screen-space filter.
     pub filter: ScreenFilter,
+    /// What is blended.
+    pub channels: Channels,
 }
 
 impl Default for RenderSettings {
     fn default() -> Self {
-        Self { sh_degree: 3, background: [0.0; 3], filter: ScreenFilter::Classic }
+        Self { sh_degree: 3, background: [0.0; 3], filter: ScreenFilter::Classic, channels: Channels::Rgb }
     }
 }
 
@@ -139,8 +158,12 @@ pub struct McmcStep {
 pub struct TrainStep {
     /// Index of the training view.
     pub view: usize,
-    /// How to render it.
+    /// How to render it. What is compared is what its channels are: inverse depths with those that the photo of
+    /// the view holds as [`DepthMap::codes`], by `depth_weight` times their mean difference over all pixels;
+    /// what is not known has none.
     pub settings: RenderSettings,
+    /// Weight of a step that shows inverse depth.
+    pub depth_weight: f32,
     /// The gradient is of differences that count by their square below so many of 255 levels, and by their
     /// amount above (Huber 1964); 0 for L1.
     pub huber_delta: u32,

@@ -10,8 +10,8 @@ use crate::stored_photo::{PhotoStore, StoredPhoto};
 
 impl View {
     /// The view at half of its size: a pixel is the mean of those of its four that count, and counts where
-    /// one of them does. A last odd row or column is left out. The photo is halved whenever it is read, so
-    /// that it takes no memory.
+    /// one of them does. A last odd row or column is left out, and so is a depth map. The photo is halved
+    /// whenever it is read, so that it takes no memory.
     pub fn halved(&self) -> Self {
         let camera = Camera {
             width: self.camera.width / 2,
@@ -24,7 +24,7 @@ impl View {
         let halved = Halved { photo: self.photo.clone(), mask: self.mask.clone() };
         let mask = self.mask.as_ref().map(|mask| Arc::new(halved_mask(mask, width as usize)));
         let photo = StoredPhoto::in_store(Arc::new(halved), 0, width / 2, height / 2);
-        Self { name: self.name.clone(), camera, photo, mask }
+        Self { name: self.name.clone(), camera, photo, mask, depth: None }
     }
 }
 
@@ -102,6 +102,7 @@ mod tests {
             camera: Camera { principal_px: [2.0, 3.0], ..Camera::at_origin(5, 5, 8.0) },
             photo: Photo { width: 5, height: 5, rgb }.into(),
             mask: mask.map(|counts| Arc::new(Mask { counts })),
+            depth: None,
         }
     }
 

@@ -13,6 +13,7 @@ pub mod camera;
 pub mod cloud_renderer;
 pub mod constants;
 pub mod covariance;
+pub mod depth_map;
 pub mod device;
 pub mod edit;
 pub mod gaussians;
@@ -32,9 +33,12 @@ pub mod state_mean;
 pub mod statistics;
 pub mod stored_photo;
 
-pub use backend::{BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View};
+pub use backend::{
+    BackendError, Channels, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View,
+};
 pub use camera::Camera;
 pub use cloud_renderer::CloudRenderer;
+pub use depth_map::DepthMap;
 pub use device::{Device, DeviceState, Edit, Renderer, Upload};
 pub use edit::{EditPart, Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};

@@ -73,6 +73,7 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
             photo: caster.photograph([width, height], &rays_of(&camera)).into(),
             camera,
             mask: None,
+            depth: None,
         })
         .collect();
     let (points, seen_by): (Vec<_>, Vec<_>) =

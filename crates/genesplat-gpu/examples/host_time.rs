@@ -69,6 +69,7 @@ fn step(number: u32, view: usize) -> TrainStep {
         huber_delta: 0,
         update: Some(Update { rates, step: number, opacity_step: number, mcmc: None }),
         keeps_gradients: false,
+        depth_weight: 0.0,
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
     }
 }

@@ -146,7 +146,7 @@ mod tests {
         let photo = |right: u8| Photo { width: 32, height: 32, rgb: columns(right) };
         let distance = |mask: Option<Mask>| {
             let (name, camera) = ("a.png".into(), Camera::at_origin(32, 32, 32.0));
-            let view = View { name, camera, photo: photo(0).into(), mask: mask.map(Arc::new) };
+            let view = View { name, camera, photo: photo(0).into(), mask: mask.map(Arc::new), depth: None };
             score_view(&view, &photo(255), &photo(0), Some(&lpips)).unwrap().lpips.unwrap()
         };
         assert!(distance(None) != 0.0);

@@ -152,7 +152,7 @@ impl Rows {
         let view = |(photo, (at, (pose, lens)))| -> PyResult<View> {
             let photo = photo_of(photo)?;
             let camera = camera(&pose, &lens, at, (photo.width, photo.height), near)?;
-            Ok(View { name: String::new(), camera, photo: photo.into(), mask: None })
+            Ok(View { name: String::new(), camera, photo: photo.into(), mask: None, depth: None })
         };
         let views: Vec<View> = photos.iter().zip(cameras).map(view).collect::<PyResult<_>>()?;
         let cloud = self.0.clone();

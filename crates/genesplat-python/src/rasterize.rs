@@ -106,7 +106,8 @@ impl RasterizedView {
         let camera = pinhole(viewmat.as_slice()?, k.as_slice()?, size, near)?;
         let card = device_named(device)?.resolve().map_err(told)?;
         let filter = if antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic };
-        let settings = RenderSettings { sh_degree, background: [0.0; 3], filter };
+        let settings =
+            RenderSettings { sh_degree, background: [0.0; 3], filter, ..RenderSettings::default() };
         let view = py.detach(|| {
             let mut view = DifferentiableView::project(cloud, rgb.as_deref(), camera, settings)?;
             view.retain(|splat| {

@@ -12,7 +12,7 @@ use support::*;
 const TOLERANCE: f64 = 1e-5;
 
 fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
-    RenderSettings { sh_degree, background: [0.2, 0.5, 0.8], filter }
+    RenderSettings { sh_degree, background: [0.2, 0.5, 0.8], filter, ..RenderSettings::default() }
 }
 
 /// Compares all gradients of a smooth functional of the image, `Σ w (C + C²/2)`, with differences.
@@ -99,7 +99,7 @@ fn beyond_the_limit_of_the_jacobian() {
 fn end_to_end_through_the_loss() {
     let cloud = random_cloud(10, 8);
     let photo = random_photo(WIDTH, HEIGHT, 9).into();
-    let view = View { name: "noise".into(), camera: tilted_camera(), photo, mask: None };
+    let view = View { name: "noise".into(), camera: tilted_camera(), photo, mask: None, depth: None };
     let settings = settings(3, ScreenFilter::Classic);
     let (value, actual) = gradients(&cloud, &view, &settings, Cutoff::Smooth);
     let loss_of = |cloud: &Cloud64| gradients(cloud, &view, &settings, Cutoff::Smooth).0;

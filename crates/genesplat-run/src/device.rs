@@ -206,6 +206,7 @@ pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainSt
         huber_delta: 0,
         update: Some(Update { rates, step, opacity_step: step, mcmc: None }),
         keeps_gradients: false,
+        depth_weight: 0.0,
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
     }
 }

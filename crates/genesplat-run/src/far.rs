@@ -187,7 +187,7 @@ mod tests {
             };
             let colour = |at: u32| if at / SIDE < SIDE / 2 { sky } else { [60; 3] };
             let photo = Photo { width: SIDE, height: SIDE, rgb: (0..SIDE * SIDE).flat_map(colour).collect() };
-            View { name: format!("{index}"), camera, photo: photo.into(), mask: None }
+            View { name: format!("{index}"), camera, photo: photo.into(), mask: None, depth: None }
         };
         scene.train = (0..6).map(view).collect();
         let wall = |at: usize| {

@@ -149,7 +149,13 @@ mod tests {
     fn what_is_left_of_a_run_that_grows_is_known_from_a_tenth_of_it_on() {
         let photo = genesplat_core::Photo { width: 90, height: 160, rgb: vec![0; 3 * 90 * 160] };
         let camera = genesplat_core::Camera::at_origin(90, 160, 100.0);
-        let view = genesplat_core::View { name: String::new(), camera, photo: photo.into(), mask: None };
+        let view = genesplat_core::View {
+            name: String::new(),
+            camera,
+            photo: photo.into(),
+            mask: None,
+            depth: None,
+        };
         let config = genesplat_train::TrainConfig { iterations: 1500, ..Default::default() };
         let growth = GrowthToCome::new(&config.resolve().unwrap(), &vec![view; 43]);
         assert!(growth.most().is_some_and(|most| (46_000.0..48_500.0).contains(&most)), "{growth:?}");

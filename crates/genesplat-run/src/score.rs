@@ -185,7 +185,7 @@ mod tests {
             let (width, height) = (40 + 8 * number, 32);
             let rgb = (0..3 * width * height).map(|i| (i * (7 + number) % 251) as u8).collect();
             let (camera, photo) = (Camera::at_origin(width, height, 40.0), Photo { width, height, rgb });
-            View { name: format!("{number}.png"), camera, photo: photo.into(), mask: None }
+            View { name: format!("{number}.png"), camera, photo: photo.into(), mask: None, depth: None }
         };
         (0..3).map(view).collect()
     }

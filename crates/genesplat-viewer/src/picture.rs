@@ -142,7 +142,7 @@ mod tests {
         let (grey, spot) =
             (photo(4, 4, |_, _| [90; 3]), photo(4, 4, |x, _| [if x == 2 { 250 } else { 90 }; 3]));
         let camera = Camera::at_origin(4, 4, 4.0);
-        let mut view = View { name: String::new(), camera, photo: spot.into(), mask: None };
+        let mut view = View { name: String::new(), camera, photo: spot.into(), mask: None, depth: None };
         let errors = error_picture(&grey, &view).unwrap();
         assert_eq!((errors.pixel(2, 1), errors.pixel(1, 1)), (colour(1.0), colour(0.0)));
         view.mask = Some(Arc::new(Mask { counts: (0..16).map(|pixel| pixel != 6).collect() }));

@@ -5,7 +5,7 @@ use genesplat_core::backend::RenderSettings;
 use genesplat_core::constants::{ALPHA_MIN, CLASSIC_DILATION};
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::{C0, sh_index};
-use genesplat_core::{Camera, Gaussians, Image, Photo, ScreenFilter};
+use genesplat_core::{Camera, Gaussians, Image, Photo};
 use glam::DVec3;
 use serde::Deserialize;
 
@@ -75,7 +75,7 @@ pub fn derive(
         _ => settings.background,
     };
     let sh_degree = if has_own_colours { 0 } else { settings.sh_degree };
-    (derived, RenderSettings { sh_degree, background, filter: ScreenFilter::Classic })
+    (derived, RenderSettings { sh_degree, background, ..RenderSettings::default() })
 }
 
 /// An empty cloud whose columns need not grow, which would take up to three times as much for a while.

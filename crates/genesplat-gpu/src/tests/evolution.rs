@@ -141,7 +141,13 @@ fn losses_of_large_pictures_match() {
     let (width, height) = (330, 320);
     let rgb = (0..3 * width * height).map(|i| (i % 251) as u8).collect();
     let photo = Photo { width, height, rgb }.into();
-    let large = View { name: "large".into(), camera: camera().resized(width, height), photo, mask: None };
+    let large = View {
+        name: "large".into(),
+        camera: camera().resized(width, height),
+        photo,
+        mask: None,
+        depth: None,
+    };
     let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
     for twin in [&mut gpu as &mut dyn Device, &mut cpu] {
         twin.set_views(std::slice::from_ref(&large)).unwrap();

@@ -109,7 +109,7 @@ fn load_sound(
     frame.each_view(listed, &photo, mask.as_ref(), |Picture { name, camera, photo, mask }| {
         // One that hides nothing is none.
         let mask = mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new);
-        views.push(View { name, camera, photo: storage.keep(photo)?, mask });
+        views.push(View { name, camera, photo: storage.keep(photo)?, mask, depth: None });
         Ok::<_, SceneError>(())
     })?;
     let name = listed.name.clone();

@@ -124,6 +124,7 @@ impl<'a> Pilot<'a> {
             sh_degree: 0,
             background: self.config.background.fixed_colour(),
             filter: self.config.screen_filter(),
+            ..RenderSettings::default()
         };
         let mut sums = [0.0; 2];
         for (motion, views) in motions.iter_mut().zip(&mut self.photos) {

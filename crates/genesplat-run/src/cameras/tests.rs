@@ -153,7 +153,7 @@ fn a_photo_moves_its_camera_to_where_it_was_taken() {
     let value = |at: usize| (255.0 * photo.planes[at % 3 * plane + at / 3]).round() as u8;
     let rgb = (0..3 * plane).map(value).collect();
     let photo = Photo { width: 64, height: 48, rgb }.into();
-    let mut views = [View { name: "a".into(), camera, photo, mask: None }];
+    let mut views = [View { name: "a".into(), camera, photo, mask: None, depth: None }];
     let pixel = align::Pixel::of(&camera, 5.0);
     let mut judged = Vec::new();
     for _ in 0..6 {

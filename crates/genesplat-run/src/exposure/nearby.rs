@@ -139,7 +139,7 @@ mod tests {
             let mut camera = Camera::at_origin(1, 1, 1.0);
             camera.camera_from_world_translation.x = -place;
             let photo = Photo { width: 1, height: 1, rgb: vec![9; 3] }.into();
-            View { name: format!("{name}{number}"), camera, photo, mask: None }
+            View { name: format!("{name}{number}"), camera, photo, mask: None, depth: None }
         };
         places.enumerate().map(view).collect()
     }

@@ -87,7 +87,7 @@ mod tests {
         let pixels = (0..10).flat_map(|y| (0..20).map(move |x| (x, y)));
         let rgb = pixels.flat_map(|(x, y)| [rgb(x, y); 3]).collect();
         let photo = Photo { width: 20, height: 10, rgb }.into();
-        View { name: "a".into(), camera, photo, mask: mask.map(Arc::new) }
+        View { name: "a".into(), camera, photo, mask: mask.map(Arc::new), depth: None }
     }
 
     fn sight(point: u32) -> Sight {

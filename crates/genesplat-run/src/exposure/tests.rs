@@ -134,7 +134,7 @@ fn a_page_shows_all_photos_at_the_mean_exposure() {
 
 fn view(name: &str, photo: Photo) -> View {
     let camera = Camera::at_origin(photo.width, photo.height, 1.0);
-    View { name: name.into(), camera, photo: photo.into(), mask: None }
+    View { name: name.into(), camera, photo: photo.into(), mask: None, depth: None }
 }
 
 #[test]

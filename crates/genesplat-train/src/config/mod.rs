@@ -127,7 +127,7 @@ impl TrainConfig {
     /// How a cloud with this degree of the spherical harmonics is rendered.
     pub(crate) fn render_settings(&self, sh_degree: u8) -> RenderSettings {
         let (background, filter) = (self.background.fixed_colour(), self.screen_filter());
-        RenderSettings { sh_degree, background, filter }
+        RenderSettings { sh_degree, background, filter, ..RenderSettings::default() }
     }
 
     /// Checks every setting, and makes the timeline.

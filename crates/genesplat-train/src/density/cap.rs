@@ -181,7 +181,7 @@ mod tests {
     fn the_lower_of_the_limits_counts() {
         let camera = Camera::at_origin(30, 20, 1.0);
         let photo = Photo { width: 30, height: 20, rgb: vec![0; 1800] }.into();
-        let views = vec![View { name: String::new(), camera, photo, mask: None }; 9];
+        let views = vec![View { name: String::new(), camera, photo, mask: None, depth: None }; 9];
         let of = |method, max_gaussians, capacity| {
             let mut config = TrainConfig { max_gaussians, ..TrainConfig::of(method) };
             config.method.capacity = capacity;
@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(cap_from_photos(&many, 1.0), 2000, "600 pixels of one photo over 0.3");
         let (width, height) = (400, 400);
         let photo = StoredPhoto::from(Photo { width, height, rgb: vec![0; 480_000] });
-        let fine = vec![View { name: String::new(), camera, photo, mask: None }; 16];
+        let fine = vec![View { name: String::new(), camera, photo, mask: None, depth: None }; 16];
         assert_eq!(cap_from_photos(&fine, 1.0), 112_000, "70 times the root of 16 · 160,000 pixels");
     }
 }

@@ -256,7 +256,9 @@ mod tests {
     fn white_is_advised_where_it_is_missed() {
         let photo = Photo { width: 2, height: 2, rgb: vec![255; 12] };
         let camera = Camera::at_origin(2, 2, 1.0);
-        let view = |photo: Photo| [View { name: String::new(), camera, photo: photo.into(), mask: None }];
+        let view = |photo: Photo| {
+            [View { name: String::new(), camera, photo: photo.into(), mask: None, depth: None }]
+        };
         let advised =
             |background, view: [View; 1]| of_white_surroundings(background, &view).unwrap().is_some();
         assert!(

@@ -54,7 +54,13 @@ mod tests {
         };
         let rgb = (0..width * height).flat_map(|at| [grey(at); 3]).collect();
         let photo = Photo { width: width as u32, height: height as u32, rgb };
-        View { name: String::new(), camera: Camera::at_origin(20, 10, 10.0), photo: photo.into(), mask: None }
+        View {
+            name: String::new(),
+            camera: Camera::at_origin(20, 10, 10.0),
+            photo: photo.into(),
+            mask: None,
+            depth: None,
+        }
     }
 
     #[test]

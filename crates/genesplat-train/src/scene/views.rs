@@ -57,7 +57,13 @@ mod tests {
         // Given in reverse order of name.
         (0..n)
             .rev()
-            .map(|i| View { name: format!("{i:03}.jpg"), camera, photo: photo.clone().into(), mask: None })
+            .map(|i| View {
+                name: format!("{i:03}.jpg"),
+                camera,
+                photo: photo.clone().into(),
+                mask: None,
+                depth: None,
+            })
             .collect()
     }
 

@@ -155,6 +155,7 @@ impl VirtualViews {
             camera: *camera,
             photo: picture.clone().into(),
             mask: None,
+            depth: None,
         };
         photos.iter().cloned().chain(self.views.iter().zip(pictures).map(shown)).collect()
     }
@@ -255,6 +256,7 @@ mod tests {
             camera,
             photo: Photo { width: 2, height: 1, rgb: vec![0; 6] }.into(),
             mask: None,
+            depth: None,
         }
     }
 

@@ -57,7 +57,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
         .map(|index| {
             let camera = camera(f64::from(index) / 16.0 * TAU);
             let photo = backend.render(&camera, &Default::default()).unwrap().to_photo();
-            View { name: format!("{index:02}.png"), camera, photo: photo.into(), mask: None }
+            View { name: format!("{index:02}.png"), camera, photo: photo.into(), mask: None, depth: None }
         })
         .collect();
     points.iter_mut().enumerate().for_each(|(row, (position, colour))| {

@@ -39,7 +39,7 @@ fn camera([width, height]: [u32; 2], centre_px: [u32; 2], focal_px: f64, z: f64)
 fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f64>, Vec<f64>); 2] {
     let (width, height) = (camera.width, camera.height);
     let photo = Photo { width, height, rgb: vec![255; 3 * (width * height) as usize] }.into();
-    let view = View { name: "white".into(), camera, photo, mask: None };
+    let view = View { name: "white".into(), camera, photo, mask: None, depth: None };
     let settings = RenderSettings::default();
     let density = Some(DensitySignal::PixelWeighted { depth_threshold });
     let request = StatisticsRequest { density, genes: false };
@@ -57,6 +57,7 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
         huber_delta: 0,
         update: None,
         keeps_gradients: false,
+        depth_weight: 0.0,
         statistics: request,
     };
     backend.train_step(&step).unwrap();

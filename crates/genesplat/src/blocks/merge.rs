@@ -64,7 +64,7 @@ fn difference(a: &(Gaussians, RenderSettings), b: &(Gaussians, RenderSettings)) 
 }
 
 fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
-    let RenderSettings { sh_degree, background, filter } = settings;
+    let RenderSettings { sh_degree, background, filter, .. } = settings;
     let background = match background.map(|value| (255.0 * value).round() as u8) {
         [0, 0, 0] => "black".to_owned(),
         [255, 255, 255] => "white".to_owned(),

@@ -25,6 +25,7 @@ const SETTINGS: RenderSettings = RenderSettings {
     sh_degree: 3,
     background: [0.1, 0.2, 0.3],
     filter: genesplat::core::ScreenFilter::Classic,
+    channels: genesplat::core::Channels::Rgb,
 };
 
 /// What both are asked for, and the largest relative L2 distance of their answers. They round differently,
@@ -149,7 +150,15 @@ fn losses(device: &mut Device, _: &Scene) -> Result<Vec<f32>, BackendError> {
 /// A step that changes nothing, and keeps its gradients.
 fn looking(view: usize) -> TrainStep {
     let statistics = StatisticsRequest { density: Some(DensitySignal::Absolute), genes: true };
-    TrainStep { view, settings: SETTINGS, huber_delta: 13, update: None, keeps_gradients: true, statistics }
+    TrainStep {
+        view,
+        settings: SETTINGS,
+        depth_weight: 0.0,
+        huber_delta: 13,
+        update: None,
+        keeps_gradients: true,
+        statistics,
+    }
 }
 
 fn gradients(device: &mut Device, _: &Scene) -> Result<Vec<f32>, BackendError> {

@@ -109,6 +109,7 @@ pub(super) mod tests {
             camera: camera_at(*centre),
             photo: Arc::clone(&photo).into(),
             mask: None,
+            depth: None,
         };
         centres.iter().enumerate().map(view).collect()
     }

@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     fn view(name: &str, photo: Photo) -> View {
-        View { name: name.into(), camera: camera_at([0.0; 3]), photo: photo.into(), mask: None }
+        View { name: name.into(), camera: camera_at([0.0; 3]), photo: photo.into(), mask: None, depth: None }
     }
 
     fn noise(seed: u32, contrast: u32) -> Photo {

@@ -36,7 +36,13 @@ fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
         let camera = camera().resized(width, height);
         let camera_from_world_translation = camera.camera_from_world_translation + shift;
         let camera = Camera { camera_from_world_translation, ..camera };
-        View { name: "test".into(), camera, photo: Photo { width, height, rgb }.into(), mask: None }
+        View {
+            name: "test".into(),
+            camera,
+            photo: Photo { width, height, rgb }.into(),
+            mask: None,
+            depth: None,
+        }
     };
     sizes.into_iter().enumerate().map(view).collect()
 }

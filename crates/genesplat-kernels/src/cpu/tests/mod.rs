@@ -171,6 +171,7 @@ fn statistics(
         huber_delta: 0,
         update: None,
         keeps_gradients: false,
+        depth_weight: 0.0,
         statistics: request,
     };
     backend.train_step(&step).unwrap();

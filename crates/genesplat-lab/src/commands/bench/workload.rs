@@ -100,7 +100,13 @@ fn synthetic_view([width, height]: [u32; 2]) -> View {
     let camera = Camera::at_origin(width, height, f64::from(height));
     let pixel = |x: u32, y: u32| [(255 * x / width) as u8, (255 * y / height) as u8, 128];
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
-    View { name: "synthetic".into(), camera, photo: Photo { width, height, rgb }.into(), mask: None }
+    View {
+        name: "synthetic".into(),
+        camera,
+        photo: Photo { width, height, rgb }.into(),
+        mask: None,
+        depth: None,
+    }
 }
 
 /// A wavy wall that fills the picture, twice as wide, with a second one behind it.

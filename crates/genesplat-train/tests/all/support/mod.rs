@@ -23,7 +23,13 @@ pub(crate) fn views(n: usize) -> Vec<View> {
                 camera_from_world_translation: DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0),
                 ..Camera::at_origin(4, 4, 4.0)
             };
-            View { name: format!("{index:03}.png"), camera, photo: photo.clone().into(), mask: None }
+            View {
+                name: format!("{index:03}.png"),
+                camera,
+                photo: photo.clone().into(),
+                mask: None,
+                depth: None,
+            }
         })
         .collect()
 }
