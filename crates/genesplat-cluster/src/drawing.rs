@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use genesplat_core::{BackendError, DensitySignal, Image, RenderSettings};
+use genesplat_core::{BackendError, DensitySignal, Image, RenderSettings, TrainStep};
 use genesplat_kernels::cpu::stages::{
     Band, LOSS_REACH, Level, SplatGradients, Splats, Wanted, columns_of, loss_of_rows, squared_errors,
 };
@@ -142,22 +142,22 @@ impl Drawing {
         Ok(canvas.pixel_rows().iter().map(|rows| part(&self.band.image, &held, &canvas.near(rows))).collect())
     }
 
-    /// The loss of the own rows; its gradient, if one with such a `huber_delta` is wanted, goes to the band.
+    /// The loss of the own rows; its gradient, if a step wants it, goes to the band.
     pub(crate) fn loss(
         &mut self,
         level: Level,
         canvas: &Canvas,
         target: &Target,
         parts: &Parts,
-        huber_delta: Option<u32>,
+        step: Option<&TrainStep>,
     ) {
         let rows = canvas.band.pixel_rows();
         self.near.assemble(canvas.width(), canvas.near(&rows), &canvas.pixel_rows(), parts);
         let PictureRows { rows: near, image } = &self.near;
         let ViewBuffers { photo, image_gradient, .. } = &mut self.band;
-        let gradient = huber_delta.map(|huber_delta| Wanted { gradient: image_gradient, huber_delta });
+        let gradient = step.map(|step| Wanted::of(step, image_gradient));
         loss_of_rows(level, (image, near.start), photo, rows.clone(), gradient, &mut self.sums);
-        if huber_delta.is_some() {
+        if step.is_some() {
             target.hide_rows(&mut self.band.image_gradient, &rows);
         }
     }

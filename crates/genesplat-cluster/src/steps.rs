@@ -51,7 +51,7 @@ impl ClusterBackend {
         let drawn = self.drawing.draw(level, canvas, parts, (splats, dealt), &step.settings);
         let parts = self.group.exchange(drawn.and_then(|()| self.drawing.rows_for_loss(canvas, target)))?;
         // 3. Sums of gradients go back.
-        self.drawing.loss(level, canvas, target, &parts, Some(step.huber_delta));
+        self.drawing.loss(level, canvas, target, &parts, Some(step));
         let visible: Vec<usize> = self.tasks.iter().map(|task| task.splats.len()).collect();
         let totals = |drawing: &_| PictureTotals::write(drawing, canvas, &visible[..steps.len()]);
         let parts = self.drawing.backward(level, canvas, totals, step.statistics.density);

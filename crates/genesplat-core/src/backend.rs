@@ -69,8 +69,8 @@ pub enum Channels {
     /// Its colour as the camera sees it.
     #[default]
     Rgb,
-    /// `[nearest / z, 1, 0]` with z along the axis of the camera, before black: inverse depth, and how much
-    /// of a pixel is covered.
+    /// `[nearest / z, 1, 0]` with z along the axis of the camera: inverse depth, and how much of a pixel is
+    /// covered.
     InverseDepth {
         /// The depth that is 1, world units.
         nearest: f32,
@@ -88,6 +88,13 @@ pub struct RenderSettings {
     pub filter: ScreenFilter,
     /// What is blended.
     pub channels: Channels,
+}
+
+impl RenderSettings {
+    /// The same of inverse depth, before black; `nearest` is the depth that is 1, world units.
+    pub fn of_inverse_depth(self, nearest: f32) -> Self {
+        Self { background: [0.0; 3], channels: Channels::InverseDepth { nearest }, ..self }
+    }
 }
 
 impl Default for RenderSettings {

@@ -125,9 +125,9 @@ device_struct! {
         camera_x: vec4,
         camera_y: vec4,
         camera_z: vec4,
-        /// Camera centre, world.
+        /// Camera centre, world; the depth that is 1 of a picture of inverse depth, world units, or 0.
         centre: vec4,
-        /// Colour behind all splats.
+        /// Colour behind all splats; the weight of a loss of inverse depth.
         background: vec4,
         /// Focal lengths, px.
         focal_x: f32,

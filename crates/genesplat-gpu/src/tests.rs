@@ -14,8 +14,9 @@ mod submissions;
 mod verbs;
 
 use fixtures::{
-    CROWD, CROWD_LOGITS, camera, cloud, compare_rows, crowd, far_needles, filtered_cloud, filters,
-    individual_of, masked_view, poisoned_cloud, settings, shortest_row, small_view, step, uniform, view,
+    CROWD, CROWD_LOGITS, camera, cloud, compare_rows, crowd, depth_step, depth_view, far_needles,
+    filtered_cloud, filters, individual_of, masked_view, poisoned_cloud, settings, shortest_row, small_view,
+    step, uniform, view,
 };
 use genesplat_core::{
     Camera, DensitySignal, Device, Edit, Gaussians, RenderSettings, Renderer, ScreenFilter, TrainStep, View,

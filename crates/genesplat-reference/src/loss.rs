@@ -6,6 +6,7 @@
 //! channels.
 
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+use genesplat_core::depth_map::inverse_of;
 use genesplat_core::{Mask, Photo, View};
 
 use crate::planes;
@@ -36,6 +37,23 @@ pub fn loss_of_view(image: &[f64], view: &View) -> (f64, Vec<f64>) {
     let Some(mask) = &view.mask else { return loss(image, &photo) };
     let (value, gradient) = loss(&hidden(image, mask), &mask.hide_in(&photo));
     (value, hidden(&gradient, mask))
+}
+
+/// Loss of a picture of inverse depth `[3, H, W]` against [`DepthMap::codes`](genesplat_core::DepthMap), and
+/// its gradient: `weight` times the mean over all pixels of the absolute difference where the depth is known.
+pub fn depth_loss(image: &[f64], codes: &Photo, weight: f64) -> (f64, Vec<f64>) {
+    let pixels = image.len() / 3;
+    let scale = weight / pixels as f64;
+    let (mut value, mut gradient) = (0.0, vec![0.0; image.len()]);
+    for (pixel, &rgb) in codes.rgb.as_chunks::<3>().0.iter().enumerate() {
+        let target = f64::from(inverse_of(rgb));
+        let difference = image[pixel] - target;
+        if target > 0.0 && difference != 0.0 {
+            value += scale * difference.abs();
+            gradient[pixel] = scale * difference.signum();
+        }
+    }
+    (value, gradient)
 }
 
 /// `planes` `[.., H, W]` with zeros where nothing counts.

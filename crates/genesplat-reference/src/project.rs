@@ -6,7 +6,7 @@
 //! linearisation explodes; the mean itself is never clamped.
 
 use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT};
-use genesplat_core::{Camera, RenderSettings};
+use genesplat_core::{Camera, Channels, RenderSettings};
 use glam::{DMat3, DVec3};
 
 use crate::covariance::Shape;
@@ -152,7 +152,10 @@ pub fn project(cloud: &Cloud64, row: usize, camera: &Camera, settings: &RenderSe
         covariance_px: filtered.covariance_px,
         conic: filtered.covariance_px.inverse(),
         opacity,
-        colour: colour::colour(&cloud.sh[row], offset, settings.sh_degree),
+        colour: match settings.channels {
+            Channels::Rgb => colour::colour(&cloud.sh[row], offset, settings.sh_degree),
+            Channels::InverseDepth { nearest } => [f64::from(nearest) / geometry.point.z, 1.0, 0.0],
+        },
         extent_px: extent_px(&filtered.covariance_px, opacity),
         radius_px: 0,
     };

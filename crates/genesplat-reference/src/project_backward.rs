@@ -4,7 +4,8 @@
 //! inverse with 1e-7, it differentiates the Jacobian by depth as if `x/z` were never clamped, and
 //! Mip-Splatting's compensation carries extra epsilons.
 
-use genesplat_core::{Camera, RenderSettings};
+use genesplat_core::spherical_harmonics::SH_STRIDE;
+use genesplat_core::{Camera, Channels, RenderSettings};
 use glam::{DMat3, DVec3};
 
 use crate::project::{Geometry, Splat, Symmetric2};
@@ -40,17 +41,36 @@ pub fn project_backward(
     let (by_log_scale, by_rotation) =
         geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
 
-    let position = DVec3::from_array(cloud.positions[row]);
-    let offset = position - camera.centre_in_world();
-    let (by_sh, by_direction) =
-        colour::colour_backward(&cloud.sh[row], offset, settings.sh_degree, by_splat.colour);
+    let (by_sh, through_colour) = through_colour(cloud, camera, settings, splat, by_splat.colour);
     let by_point = through_pinhole(&geometry, camera, by_splat.mean_px)
         + through_jacobian(&geometry, camera, by_screen_rows);
-    gradient.positions[row] = (camera.rotation().transpose() * by_point + by_direction).to_array();
+    gradient.positions[row] = (camera.rotation().transpose() * by_point + through_colour).to_array();
     gradient.log_scales[row] = by_log_scale;
     gradient.rotations[row] = by_rotation;
     gradient.opacity_logits[row] = by_splat.opacity * factor_3d * compensation * own * (1.0 - own);
     gradient.sh[row] = by_sh;
+}
+
+/// The path of what is blended, to coefficients and position: a colour moves with the direction, an inverse
+/// depth with z.
+fn through_colour(
+    cloud: &Cloud64,
+    camera: &Camera,
+    settings: &RenderSettings,
+    splat: &Splat,
+    by_colour: [f64; 3],
+) -> ([f64; SH_STRIDE], DVec3) {
+    let sh = &cloud.sh[splat.row];
+    match settings.channels {
+        Channels::Rgb => {
+            let offset = DVec3::from_array(cloud.positions[splat.row]) - camera.centre_in_world();
+            colour::colour_backward(sh, offset, settings.sh_degree, by_colour)
+        }
+        Channels::InverseDepth { nearest } => {
+            let by_z = -by_colour[0] * f64::from(nearest) / (splat.depth * splat.depth);
+            ([0.0; SH_STRIDE], camera.rotation().row(2) * by_z)
+        }
+    }
 }
 
 /// `∂L/∂Σ' = −Q (∂L/∂Q) Q`, with one number for both corners in and out.

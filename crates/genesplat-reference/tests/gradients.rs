@@ -5,8 +5,8 @@
 
 mod support;
 
-use genesplat_core::{Camera, Photo, RenderSettings, ScreenFilter, View};
-use genesplat_reference::{Cloud64, Cutoff, backward, gradients, huber_loss, render};
+use genesplat_core::{Camera, DepthMap, Photo, RenderSettings, ScreenFilter, View};
+use genesplat_reference::{Cloud64, Cutoff, backward, depth_loss, gradients, huber_loss, render};
 use support::*;
 
 const TOLERANCE: f64 = 1e-5;
@@ -106,6 +106,31 @@ fn end_to_end_through_the_loss() {
     assert!(value > 0.1 && value == loss_of(&cloud));
     // A pixel within a step of the photo's value sits on the kink of |x|; this scene has none.
     compare_clouds(&differences(&cloud, loss_of), &actual.cloud, TOLERANCE).unwrap();
+}
+
+/// From parameters to the loss of inverse depth, of which not every pixel is known.
+#[test]
+fn end_to_end_through_inverse_depth() {
+    let (cloud, camera) = (random_cloud(10, 12), tilted_camera());
+    let mut uniform = Uniform::new(13);
+    let depths: Vec<f32> = (0..WIDTH * HEIGHT)
+        .map(|pixel| if pixel % 4 == 0 { 0.0 } else { uniform.between(2.0, 6.0) as f32 })
+        .collect();
+    let (codes, nearest) = DepthMap::encode(&depths, WIDTH, HEIGHT).unwrap();
+    for filter in [ScreenFilter::Classic, ScreenFilter::Mip] {
+        let settings = settings(3, filter).of_inverse_depth(nearest);
+        check(&cloud, &camera, &settings);
+        let loss_of = |cloud: &Cloud64| {
+            let rendered = render(cloud, &camera, &settings, Cutoff::Smooth);
+            depth_loss(&rendered.picture.image, &codes, 0.7).0
+        };
+        let rendered = render(&cloud, &camera, &settings, Cutoff::Smooth);
+        let (value, by_image) = depth_loss(&rendered.picture.image, &codes, 0.7);
+        assert!(value > 0.01);
+        let actual = backward(&cloud, &camera, &settings, Cutoff::Smooth, &rendered, &by_image).cloud;
+        compare_clouds(&differences(&cloud, loss_of), &actual, TOLERANCE).unwrap();
+        assert!(actual.sh.as_flattened().iter().all(|g| *g == 0.0), "colours have no part in it");
+    }
 }
 
 #[test]

@@ -193,6 +193,7 @@ mod tests {
             camera,
             photo: Photo { width: 1, height: 1, rgb: vec![0; 3] }.into(),
             mask: None,
+            depth: None,
         }
     }
 

@@ -9,7 +9,7 @@
 //!    if it is better.
 //! 5. **Average.** The mean of the last states is the result.
 //!
-//! Which photos a step sees, and at which size, is the timeline's as well.
+//! Which photos a step sees, at which size, and when it sees a depth map, is the timeline's as well.
 //!
 //! The run can stop between any two events: a resumed run repeats the numbers of one that was never
 //! interrupted. References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1);
@@ -19,16 +19,17 @@
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::backend::StepReport;
-use genesplat_core::{Device, Edit, StatisticsRequest, View};
+use genesplat_core::{Device, Edit, StatisticsRequest, TrainStep, View};
 
 use crate::density::Plan;
 use crate::run::checkpoint::{Checkpoint, Cursor};
 use crate::run::observe::{DensifyLog, Observer, StepLog};
-use crate::run::trainer::{REPORT_EVERY, Trainer, filter_of};
+use crate::run::trainer::{REPORT_EVERY, Trainer, Visits, filter_of};
 use crate::run::{Outcome, Start, TrainError};
+use crate::scene::depth_views::DepthLook;
 use crate::schedule::Schedule;
 use crate::search::{ExtraGradientSteps, GeneticSearch};
-use crate::timeline::{Event, Visit};
+use crate::timeline::{DEPTH_EVERY, Event, Visit};
 
 /// Trains on `views` until the schedule ends or `stop` is set.
 ///
@@ -44,8 +45,10 @@ pub fn train(
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
     // What is finished already is refined without haste.
-    let of_points = start.is_from_points().then(|| schedule.on(views.len()));
-    let mut trainer = Trainer::new(backend, views, of_points.as_ref().unwrap_or(schedule), observer, stop)?;
+    let schedule = if start.is_from_points() { schedule.on(views.len()) } else { schedule.clone() };
+    let has_depth = views.iter().any(|view| view.depth.is_some());
+    let schedule = if has_depth { schedule.with_depth() } else { schedule };
+    let mut trainer = Trainer::new(backend, views, &schedule, observer, stop)?;
     let notices = trainer.notices(&start)?;
     let cursor = trainer.begin(start)?;
     notices.iter().for_each(|notice| trainer.observer.notice(notice));
@@ -96,6 +99,7 @@ impl Trainer<'_> {
             Event::AddToMean => self.backend.add_to_mean()?,
             Event::TakeMean => self.take_mean(i)?,
             Event::FullPhotos => self.show_full_photos()?,
+            Event::LookAtDepth => self.look_at_depth(i)?,
         }
         Ok(None)
     }
@@ -105,7 +109,7 @@ impl Trainer<'_> {
         let (view, statistics) = match self.visits.virtual_views.visit(i) {
             Visit::Photo(visit) => (self.visits.order.view(visit), schedule.statistics(self.run.signal, i)),
             Visit::Virtual(visit) => {
-                (self.run.views.len() + self.visits.virtual_views.view(visit), StatisticsRequest::default())
+                (self.visits.virtual_view(self.run.views, visit), StatisticsRequest::default())
             }
         };
         self.train_step(view, i, 0, schedule.timeline().optimiser_step(i), statistics)?;
@@ -154,7 +158,26 @@ impl Trainer<'_> {
 
     fn refresh_virtual_views(&mut self, i: u32) -> Result<(), TrainError> {
         let settings = self.settings(i);
-        Ok(self.visits.virtual_views.refresh(&mut *self.backend, self.run.views, &settings, i)?)
+        let Visits { virtual_views, depths, .. } = &mut self.visits;
+        let others = [self.run.views, depths.views()].concat();
+        Ok(virtual_views.refresh(&mut *self.backend, &others, &settings, i)?)
+    }
+
+    /// Gradients of inverse depth, which wait for the next step.
+    fn look_at_depth(&mut self, i: u32) -> Result<(), TrainError> {
+        let Some(DepthLook { view, nearest, scale }) = self.visits.depths.look(i / DEPTH_EVERY - 1) else {
+            return Ok(());
+        };
+        let look = TrainStep {
+            view: self.run.views.len() + view,
+            settings: self.settings(i).of_inverse_depth(nearest),
+            depth_weight: scale * self.run.schedule.depth_weight(i),
+            huber_delta: 0,
+            update: None,
+            keeps_gradients: true,
+            statistics: StatisticsRequest::default(),
+        };
+        Ok(self.backend.train_step(&look)?)
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {

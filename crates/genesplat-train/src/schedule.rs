@@ -14,6 +14,9 @@ const PHOTOS_OF_HALF: u32 = 16;
 /// The rate of the base colour, in rates of the view-dependent colour (3DGS).
 const REST_RATES: f64 = 20.0;
 
+/// Weights of a look at a depth map, at the start and at the end.
+const DEPTH_WEIGHTS: [f64; 2] = [1.0, 0.01];
+
 /// What a run is told.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Schedule {
@@ -35,6 +38,18 @@ impl Schedule {
         let looks = self.iterations / (photos as u32).max(1);
         let timeline = self.method().timeline(&self.config, looks);
         Self { timeline, ..self.clone() }
+    }
+
+    /// The same in a scene with depth maps.
+    pub fn with_depth(self) -> Self {
+        Self { timeline: self.timeline.with_depth(), ..self }
+    }
+
+    /// Weight of a look at a depth map in iteration `i`: it falls exponentially, so that photos have the last
+    /// word.
+    pub(crate) fn depth_weight(&self, i: u32) -> f32 {
+        let [start, end] = DEPTH_WEIGHTS;
+        (start * (end / start).powf(f64::from(i) / f64::from(self.iterations))) as f32
     }
 
     /// The settings as given.

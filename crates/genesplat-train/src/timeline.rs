@@ -45,6 +45,9 @@ const AVERAGED: f64 = 0.4;
 /// The part of a run that [`STATES`] divides.
 const TWENTIETH: f64 = 0.05;
 
+/// Iterations between two looks at depth maps: they tell shapes, which change slowly, and cost a step each.
+pub(crate) const DEPTH_EVERY: u32 = 4;
+
 /// Improved-GS: what recovers its opacity slowly is pruned so many iterations after a reset.
 pub(crate) const RECOVERY: u32 = 300;
 
@@ -69,6 +72,8 @@ pub enum Event {
     TakeMean,
     /// From here on, steps see photos at their full size.
     FullPhotos,
+    /// Inverse depth is rendered and compared with a depth map; the next step has the gradients, too.
+    LookAtDepth,
 }
 
 impl Event {
@@ -88,6 +93,7 @@ impl Event {
             Self::Search => "genetic search",
             Self::AddToMean => "add the state to the mean",
             Self::TakeMean => "take the mean",
+            Self::LookAtDepth => "look at a depth map",
             Self::FullPhotos => "photos at their full size, large ones for the first time",
         }
     }
@@ -284,6 +290,12 @@ pub struct Timeline {
 }
 
 impl Timeline {
+    /// The same in a scene with depth maps.
+    pub(crate) fn with_depth(mut self) -> Self {
+        self.events.push((Event::LookAtDepth, When::multiples(DEPTH_EVERY, DEPTH_EVERY, self.iterations)));
+        self
+    }
+
     /// That of 3DGS, which the others change: density control until `densify_until`, and resets as long.
     pub(crate) fn of_3dgs(config: &TrainConfig, length: Length, densify_until: u32) -> Self {
         let (method, iterations) = (&config.method, length.iterations);

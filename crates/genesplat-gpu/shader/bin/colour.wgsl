@@ -28,7 +28,14 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         }
         made[local] = steps.count;
     }
-    let colour = sh_colour(local, view.sh_degree, geometry[3u * local].xyz) + 0.5;
+    let position = geometry[3u * local].xyz;
+    var colour = vec3(0.0);
+    if view.centre.w > 0.0 {
+        // Inverse depth, and what is covered.
+        colour = vec3(view.centre.w / (dot(view.camera_z.xyz, position) + view.camera_z.w), 1.0, 0.0);
+    } else {
+        colour = sh_colour(local, view.sh_degree, position) + 0.5;
+    }
     var splat = splat_from(splats[3u * row], splats[3u * row + 1u], splats[3u * row + 2u]);
     if has_nan(vec4(colour, 0.0)) {
         // Clamping could make any colour of a NaN; so it reaches no pixel.

@@ -207,7 +207,13 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     // 6. Colour: no gradient where it was clamped.
     let clamped = bitcast<u32>(splats[3u * row + 2u].w);
     rgb_gradient = select(rgb_gradient, vec3(0.0), (vec3(clamped) & vec3(1u, 2u, 4u)) != vec3(0u));
-    position_gradient += colour_position_gradient(local, params.position, rgb_gradient);
+    if view.centre.w > 0.0 {
+        // An inverse depth moves with z, and no colour has a part in it.
+        position_gradient -= rgb_gradient.x * view.centre.w * g.inverse_z * g.inverse_z * view.camera_z.xyz;
+        rgb_gradient = vec3(0.0);
+    } else {
+        position_gradient += colour_position_gradient(local, params.position, rgb_gradient);
+    }
 
     let density = density_of(mean_gradient, c.yz, c.w, g.t.z);
     gradients[4u * local] = vec4(position_gradient, logit_gradient);

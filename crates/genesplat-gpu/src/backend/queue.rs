@@ -37,6 +37,7 @@ impl GpuBackend {
 
     fn submit_step(&mut self, step: &TrainStep) -> Result<()> {
         let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
+        let pass = pass.with_depth_weight(step.depth_weight);
         self.state.reserve_step(&self.engine, step)?;
         let optimiser = step.update.as_ref().map(Optimiser::new);
         let needs = Needs { loss: true, gradient: true, ..Needs::default() };

@@ -99,6 +99,7 @@ shaders! {
     LOSS = "loss/loss" + [SSIM, HALO, PHOTO];
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
     LOSS_GRADIENT = "loss/loss_gradient" + [HALO, PHOTO];
+    DEPTH_LOSS = "loss/depth_loss" + [];
     // From gradients of intersections to stepped parameters.
     PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW, SPLAT_SUMS];
     STATISTICS = "optimise/statistics" + [];

@@ -94,7 +94,8 @@ impl Pixels {
         lists.run_tiles(recorder, view, needs.of(tiles::RASTERISE), &parts);
     }
 
-    /// Stage `loss` against `photo`; leaves the gradient of the loss that has `huber_delta`, too.
+    /// Stage `loss` against `photo`, or the codes of depths that it holds; leaves the gradient of the loss that
+    /// has `huber_delta`, too.
     pub(crate) fn record_loss(
         &self,
         recorder: &mut Recorder,
@@ -104,14 +105,23 @@ impl Pixels {
         huber_delta: u32,
     ) {
         recorder.stage("loss");
+        if view.is_of_depth() {
+            let parts = [&lists.view, &self.image, photo, &self.loss_sums, &self.gradient];
+            lists.run_tiles(recorder, view, TileKernel::new(&shaders::DEPTH_LOSS), &parts);
+            return self.record_loss_sum(recorder, lists);
+        }
         self.record_loss_sums(recorder, lists, photo, view, true);
-        let parts = [&lists.view, &self.loss_sums, &lists.counters].map(Memory::all);
-        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
+        self.record_loss_sum(recorder, lists);
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.gradient];
         let overrides = &[("HUBER_DELTA", huber_delta)];
         let kernel = TileKernel { layers: 3, overrides, ..TileKernel::new(&shaders::LOSS_GRADIENT) };
         lists.run_tiles(recorder, view, kernel, &parts);
+    }
+
+    fn record_loss_sum(&self, recorder: &mut Recorder, lists: &Lists) {
+        let parts = [&lists.view, &self.loss_sums, &lists.counters].map(Memory::all);
+        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
     }
 
     /// The sums of all tiles of all layers; with `partials`, SSIM's derivatives are left for the gradient.

@@ -2,7 +2,7 @@
 
 use genesplat_core::backend::{McmcStep, Update};
 use genesplat_core::constants::JACOBIAN_LIMIT;
-use genesplat_core::{Camera, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
+use genesplat_core::{Camera, Channels, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
 
 use crate::layout::{
     FILTER_ANTIALIASED, FILTER_CLASSIC, FILTER_MIP, Optimiser, SIGNAL_ABSOLUTE, SIGNAL_NONE, SIGNAL_PIXELS,
@@ -21,11 +21,15 @@ impl ViewPass {
         let [cx, cy, cz] = camera.centre_in_world().to_array().map(|value| value as f32);
         let limit = camera.tan_half_fov().map(|tan| (f64::from(JACOBIAN_LIMIT) * tan) as f32);
         let [red, green, blue] = settings.background;
+        let nearest = match settings.channels {
+            Channels::Rgb => 0.0,
+            Channels::InverseDepth { nearest } => nearest,
+        };
         Self {
             camera_x: row(0),
             camera_y: row(1),
             camera_z: row(2),
-            centre: [cx, cy, cz, 0.0],
+            centre: [cx, cy, cz, nearest],
             background: [red, green, blue, 0.0],
             focal_x: camera.focal_px[0] as f32,
             focal_y: camera.focal_px[1] as f32,
@@ -67,6 +71,17 @@ impl ViewPass {
             Some(DensitySignal::PixelWeighted { depth_threshold }) => (SIGNAL_PIXELS, depth_threshold),
         };
         Self { signal, depth_threshold, ..self }
+    }
+
+    /// The same, with the weight of a loss of inverse depth.
+    pub(crate) fn with_depth_weight(mut self, weight: f32) -> Self {
+        self.background[3] = weight;
+        self
+    }
+
+    /// What is blended is inverse depth.
+    pub(crate) fn is_of_depth(&self) -> bool {
+        self.centre[3] > 0.0
     }
 
     pub(crate) fn tiles(&self) -> u64 {

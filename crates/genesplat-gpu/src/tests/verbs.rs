@@ -129,6 +129,47 @@ fn steps_of_several_views_match() {
     );
 }
 
+/// Steps of a photo and of depths together; leaves a look at depths to wait, and tells its loss.
+fn steps_of_depth(twin: &mut dyn Device, weight: f32) -> f32 {
+    twin.set_views(&[view(), depth_view()]).unwrap();
+    twin.upload(filtered_cloud(300, ScreenFilter::Mip).into()).unwrap();
+    let settings = settings(3, ScreenFilter::Mip);
+    let depths = TrainStep { depth_weight: weight, ..depth_step(1, settings) };
+    for number in 1..=4 {
+        twin.train_step(&depths).unwrap();
+        twin.train_step(&step(number, settings)).unwrap();
+    }
+    twin.train_step(&depths).unwrap();
+    twin.report().unwrap().loss
+}
+
+#[test]
+fn steps_of_depth_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    twins_agree("adam", &mut gpu, |twin| {
+        steps_of_depth(twin, 0.7);
+    });
+    let [ours, other] = [0.7, 0.75].map(|weight| {
+        let mut cpu = cpu();
+        (steps_of_depth(&mut cpu, weight), cpu.state().unwrap().moments.pending)
+    });
+    let loss = steps_of_depth(&mut gpu, 0.7);
+    compare("loss", "inverse depth", [loss], [ours.0]).unwrap();
+    let pending = gpu.state().unwrap().moments.pending;
+    compare_clouds("project_backward", &pending, &ours.1).unwrap();
+    assert!(pending.sh.as_flattened().iter().all(|&sum| sum == 0.0), "no colour waits");
+    assert!(compare_clouds("project_backward", &pending, &other.1).is_err(), "another weight is noticed");
+    let settings = settings(3, ScreenFilter::Mip).of_inverse_depth(1.5);
+    gpu.upload(cloud(300).into()).unwrap();
+    let (actual, expected) = (gpu.render(&camera(), &settings).unwrap(), {
+        let mut cpu = cpu();
+        cpu.upload(cloud(300).into()).unwrap();
+        cpu.render(&camera(), &settings).unwrap()
+    });
+    compare("rasterise", "inverse depth", actual.planes, expected.planes).unwrap();
+}
+
 /// Steps of one view, then of several; after each, `left` is what lies where gradients were.
 fn steps_over(gpu: &mut GpuBackend, left: f32) -> DeviceState {
     let mut start = cloud(300);

@@ -17,6 +17,7 @@ use crate::config::{Background, TrainConfig};
 use crate::density::cap::Cap;
 use crate::optimiser_step::OptimiserStep;
 use crate::scene::coarse::coarse_views;
+use crate::scene::depth_views::DepthViews;
 use crate::scene::filter_3d::filter_3d;
 use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent};
 use crate::scene::thin::thinned;
@@ -59,6 +60,8 @@ impl<'a> Run<'a> {
 pub(crate) struct Visits {
     pub(crate) order: ViewOrder,
     pub(crate) virtual_views: VirtualViews,
+    /// What of the photos has a depth map. On a device they come after the photos, and before virtual views.
+    pub(crate) depths: DepthViews,
     /// The photos as the device has them until it has them at their full size.
     coarse: Option<Vec<View>>,
 }
@@ -67,6 +70,11 @@ impl Visits {
     /// The photos as steps see them now, of those at their full size.
     pub(crate) fn photos<'a>(&'a self, full: &'a [View]) -> &'a [View] {
         self.coarse.as_deref().unwrap_or(full)
+    }
+
+    /// Place on the device of the virtual view of the `visit`-th look.
+    pub(crate) fn virtual_view(&mut self, photos: &[View], visit: u32) -> usize {
+        photos.len() + self.depths.views().len() + self.virtual_views.view(visit)
     }
 }
 
@@ -110,10 +118,11 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, TrainError> {
         let run = Run::new(views, schedule)?;
         let coarse = schedule.timeline().first(Event::FullPhotos).map(|_| coarse_views(views));
-        backend.set_views(coarse.as_deref().unwrap_or(views))?;
+        let depths = DepthViews::new(views, run.rng).map_err(BackendError::from)?;
+        backend.set_views(&[coarse.as_deref().unwrap_or(views), depths.views()].concat())?;
         let (count, Run { extent, rng, .. }) = (views.len(), &run);
         let virtual_views = VirtualViews::new(views, schedule.virtual_steps(count), *extent, *rng);
-        let visits = Visits { order: ViewOrder::new(*rng, count), virtual_views, coarse };
+        let visits = Visits { order: ViewOrder::new(*rng, count), virtual_views, depths, coarse };
         let place =
             Place { progress: Progress::default(), cursor: Cursor::start_of(1), is_mid_change: false };
         Ok(Self { backend, observer, stop, run, visits, place, told: Told::default() })
@@ -214,7 +223,8 @@ impl<'a> Trainer<'a> {
     /// From here on steps see photos, and virtual views if there are any, at their full size.
     pub(crate) fn show_full_photos(&mut self) -> Result<(), TrainError> {
         self.visits.coarse = None;
-        Ok(self.backend.set_views(&self.visits.virtual_views.after(self.run.views))?)
+        let others = [self.run.views, self.visits.depths.views()].concat();
+        Ok(self.backend.set_views(&self.visits.virtual_views.after(&others))?)
     }
 
     /// All that it takes to go on from `cursor` later.

@@ -1,6 +1,7 @@
 //! What training reads from the scene: the first cloud, the size of things, the order of views.
 
 pub(crate) mod coarse;
+pub(crate) mod depth_views;
 pub mod filter_3d;
 pub mod initialise;
 pub(crate) mod nearest;

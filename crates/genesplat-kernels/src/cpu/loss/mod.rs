@@ -12,10 +12,13 @@
 //! A method may have the gradient of Huber's function in the place of L1's ([`Wanted::huber_delta`]); the
 //! loss that is told is of L1.
 //!
+//! A picture of inverse depth has another loss ([`depth`]).
+//!
 //! Under a mask, render and photo are made equal before the loss, and the gradient zero after it
 //! ([`Target::hide`]). Means stay those over all pixels, so that a pixel weighs the same in every photo.
 
 pub(crate) mod blur;
+mod depth;
 pub(crate) mod squared_error;
 
 use std::ops::Range;
@@ -23,7 +26,7 @@ use std::sync::Arc;
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
-use genesplat_core::{Image, Mask, PhotoLost, StoredPhoto, View};
+use genesplat_core::{Channels, Image, Mask, PhotoLost, StoredPhoto, TrainStep, View};
 use rayon::prelude::*;
 
 use super::bytes_of;
@@ -138,8 +141,21 @@ impl From<&View> for Target {
 pub struct Wanted<'a> {
     /// Where it goes `[3, H, W]`; what was there is overwritten.
     pub gradient: &'a mut Vec<f32>,
-    /// As [`TrainStep`](genesplat_core::TrainStep) has it.
+    /// As [`TrainStep`] has it.
     pub huber_delta: u32,
+    /// The picture is of inverse depth, and the photo holds codes: the weight of the step.
+    pub depth_weight: Option<f32>,
+}
+
+impl<'a> Wanted<'a> {
+    /// That of a step.
+    pub fn of(step: &TrainStep, gradient: &'a mut Vec<f32>) -> Self {
+        let depth_weight = match step.settings.channels {
+            Channels::Rgb => None,
+            Channels::InverseDepth { .. } => Some(step.depth_weight),
+        };
+        Self { gradient, huber_delta: step.huber_delta, depth_weight }
+    }
 }
 
 /// Loss of `image` against a whole photo.
@@ -168,6 +184,9 @@ pub fn loss_of_rows(
     sums.resize(3 * rows.len(), [0.0; 2]);
     if rows.is_empty() {
         return;
+    }
+    if let Some(Wanted { gradient, depth_weight: Some(weight), .. }) = gradient {
+        return depth::loss_of_rows((image, first), photo, rows, weight, gradient, sums);
     }
     let strips = rows.len().div_ceil(STRIP);
     let slope = L1Slope::new(gradient.as_ref().map_or(0, |wanted| wanted.huber_delta), 3 * width * height);

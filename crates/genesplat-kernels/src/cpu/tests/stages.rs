@@ -1,7 +1,9 @@
 //! Every stage of a view against the reference.
 
 use fearless_simd::Level;
-use genesplat_core::{DensitySignal, Device, Image, Photo, Renderer, ScreenFilter, StatisticsRequest, View};
+use genesplat_core::{
+    DensitySignal, Device, Image, Photo, Renderer, ScreenFilter, StatisticsRequest, TrainStep, View,
+};
 
 use super::{
     buffers_of, compare, compare_columns, compare_gradients, compare_images, fill, flat, inputs, statistics,
@@ -10,8 +12,8 @@ use crate::cpu::score::tests::loss_of_image;
 use crate::cpu::update::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
-    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, shortest_row,
-    small_view, uniform, view,
+    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, depth_step, depth_view, filtered_cloud, filters,
+    settings, shortest_row, small_view, uniform, view,
 };
 use genesplat_reference::{self as reference, Cloud64, Cutoff};
 
@@ -75,7 +77,7 @@ fn loss_and_image_gradient_match_the_reference() {
         let rows = loss::PhotoRows::whole(&target).unwrap();
         let (expected, _) = reference::loss(&expected_input, &photo);
         for huber_delta in [40, 0] {
-            let wanted = loss::Wanted { gradient: &mut gradient, huber_delta };
+            let wanted = loss::Wanted { gradient: &mut gradient, huber_delta, depth_weight: None };
             let actual = loss::loss(level, &image, &rows, Some(wanted));
             assert!(
                 (f64::from(actual) / expected - 1.0).abs() < 1e-5,
@@ -207,5 +209,35 @@ fn gene_statistics_match_the_reference() {
         assert_eq!(actual.gene_views, expected.gene_views, "opacities moved by {shift}");
         let sums = expected.gene_gradient_sum.as_flattened().iter().copied();
         compare("genes", flat(&actual.gene_gradient_sum), sums).unwrap();
+    }
+}
+
+#[test]
+fn inverse_depth_matches_the_reference() {
+    let view = depth_view();
+    for filter in filters() {
+        let cloud = filtered_cloud(400, filter);
+        let step = depth_step(0, settings(3, filter));
+        let (cloud64, settings) = (Cloud64::from(&cloud), &step.settings);
+        let mut backend = CpuBackend::new();
+        backend.set_views(std::slice::from_ref(&view)).unwrap();
+        backend.upload(cloud.clone().into()).unwrap();
+        let rendered = reference::render(&cloud64, &view.camera, settings, Cutoff::Hard);
+        let image = &rendered.picture.image;
+        compare_images(&backend.render(&view.camera, settings).unwrap(), image).unwrap();
+
+        backend.train_step(&step).unwrap();
+        let (loss, by_image) = reference::depth_loss(image, &view.photo.read().unwrap(), 0.7);
+        let found = f64::from(backend.report().unwrap().loss);
+        assert!((found / loss - 1.0).abs() < 1e-5, "{found} {loss}");
+        let gradients =
+            reference::backward(&cloud64, &view.camera, settings, Cutoff::Hard, &rendered, &by_image);
+        let pending = backend.state().unwrap().moments.pending;
+        compare_gradients(&pending, &gradients.cloud).unwrap_or_else(|error| panic!("{filter:?}: {error}"));
+        assert!(pending.sh.as_flattened().iter().all(|&gradient| gradient == 0.0), "colours have none");
+        let doubled = TrainStep { depth_weight: 1.4, ..step };
+        backend.upload(cloud.clone().into()).unwrap();
+        backend.train_step(&doubled).unwrap();
+        assert!(compare_gradients(&backend.state().unwrap().moments.pending, &gradients.cloud).is_err());
     }
 }

@@ -2,7 +2,7 @@
 //! raw parameters.
 
 use fearless_simd::{Simd, prelude::*};
-use genesplat_core::DensitySignal;
+use genesplat_core::{Channels, DensitySignal};
 
 use super::chunk::{ChunkGradients, ChunkView};
 use super::geometry_backward::{LaneGradients, geometry_backward};
@@ -80,14 +80,23 @@ fn store<S: Simd>(
     });
     let position = view.rows.positions[local];
     let (sh, degree) = (&view.rows.sh[local], inputs.settings.sh_degree);
-    let centre = inputs.camera.centre_in_world;
-    let by_direction = colour_backward(sh, position, centre, degree, rgb, &mut out.sh[local]);
+    let camera = inputs.camera;
+    // A colour moves with the direction, an inverse depth with z.
+    let through_colour = match inputs.settings.channels {
+        Channels::Rgb => {
+            colour_backward(sh, position, camera.centre_in_world, degree, rgb, &mut out.sh[local])
+        }
+        Channels::InverseDepth { nearest } => {
+            let by_z = -rgb[0] * nearest / (splat.depth * splat.depth);
+            camera.rotation[2].map(|along| along * by_z)
+        }
+    };
     if let Some(pose) = &mut out.pose {
-        pose.add_colour(by_direction);
+        pose.add_colour(through_colour);
     }
     let genes = &mut out.genes[local];
     for axis in 0..3 {
-        genes[axis] = gradients.position[axis][lane] + by_direction[axis];
+        genes[axis] = gradients.position[axis][lane] + through_colour[axis];
         genes[3 + axis] = gradients.log_scale[axis][lane];
     }
     genes[6] = gradients.opacity_logit[lane];

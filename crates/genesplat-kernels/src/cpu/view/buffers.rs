@@ -93,8 +93,8 @@ impl ViewBuffers {
         let value = timed(&mut self.seconds.loss, || {
             self.photo.read(target, 0..target.height)?;
             target.hide(&mut self.image.planes);
-            let (gradient, huber_delta) = (&mut self.image_gradient, step.huber_delta);
-            let value = loss(level, &self.image, &self.photo, Some(Wanted { gradient, huber_delta }));
+            let wanted = Wanted::of(step, &mut self.image_gradient);
+            let value = loss(level, &self.image, &self.photo, Some(wanted));
             target.hide(&mut self.image_gradient);
             Ok::<_, PhotoLost>(value)
         })?;

@@ -3,10 +3,10 @@
 use fearless_simd::{Level, Simd, dispatch};
 use genesplat_core::constants::{ALPHA_MIN, DISCRIMINANT_MIN};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
-use genesplat_core::{Gaussians, Genes, RenderSettings, Splat};
+use genesplat_core::{Channels, Gaussians, Genes, RenderSettings, Splat};
 use rayon::prelude::*;
 
-use super::colour::colour;
+use super::colour::{Colour, colour};
 use super::geometry::{Geometry, Params};
 use super::pinhole::{Pinhole, TILE};
 use super::splats::{CHUNK, Splats};
@@ -117,7 +117,12 @@ fn project_chunk<S: Simd>(
             }
             let Some(splat) = lanes.splat(lane, camera) else { continue };
             let (sh, position) = (colours.of(simd, *row as usize), [genes[0], genes[1], genes[2]]);
-            let colour = colour(sh, position, camera.centre_in_world, settings.sh_degree);
+            let colour = match settings.channels {
+                Channels::Rgb => colour(sh, position, camera.centre_in_world, settings.sh_degree),
+                Channels::InverseDepth { nearest } => {
+                    Colour { rgb: [nearest / splat.depth, 1.0, 0.0], clamped: 0 }
+                }
+            };
             // NaN drops the Gaussian. (An infinite colour is drawn, so that the loss shows it.)
             if !colour.rgb.iter().any(|value| value.is_nan()) {
                 let row = (first + group + lane) as u32;
