@@ -85,6 +85,14 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
     Gallery { views, points, seen }
 }
 
+/// How far away what each photo shows is, along the axis of its camera and through the centres of its pixels
+/// `[views][H, W]`, metres.
+pub fn depths(options: &GalleryOptions) -> Vec<Vec<f32>> {
+    let caster = build(options.seed);
+    let cameras = cameras::path(options.views, options.width, options.height);
+    cameras.iter().map(|camera| caster.depths(camera)).collect()
+}
+
 /// What the cameras of this gallery would take of all around: columns are longitudes and rows latitudes, what
 /// is ahead lies in the middle, and a photo is `2 height` x `height` px.
 pub fn all_around(options: &GalleryOptions, height: u32) -> Vec<Photo> {

@@ -49,6 +49,18 @@ impl RayCaster {
         Photo { width, height, rgb }
     }
 
+    /// Depth along the axis of a camera of the centre of each pixel `[H, W]`, metres; infinite where there is
+    /// nothing.
+    pub(crate) fn depths(&self, camera: &Camera) -> Vec<f32> {
+        let (rays, ahead) = (rays_of(camera), camera.rotation().row(2).as_vec3());
+        let depth = |row: u32, column: u32| {
+            let ray = rays([f64::from(column), f64::from(row)]);
+            let distance = self.world.trace(&ray, None).map_or(f32::INFINITY, |hit| hit.distance);
+            distance * ray.direction.dot(ahead)
+        };
+        (0..camera.height).flat_map(|row| (0..camera.width).map(move |column| depth(row, column))).collect()
+    }
+
     /// Mean radiance of a pixel.
     fn pixel(&self, rays: &impl Fn([f64; 2]) -> Ray, [column, row]: [f64; 2]) -> Vec3 {
         let sample = |[x, y]: [u8; 2]| {

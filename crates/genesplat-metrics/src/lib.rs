@@ -4,6 +4,7 @@
 //! over all pixels and channels, and the scene's value is the mean over its images.
 
 mod colour_fit;
+mod depth;
 mod evaluate;
 pub mod lpips;
 mod psnr;
@@ -13,6 +14,7 @@ pub mod weights;
 use genesplat_core::Photo;
 
 pub use colour_fit::cc_psnr;
+pub use depth::depth_error;
 pub use evaluate::{Evaluation, ViewScore, compare, evaluate, score_view};
 pub use lpips::Lpips;
 pub use psnr::{PSNR_MAX_DB, psnr, psnr_of_mean, psnr_under};
