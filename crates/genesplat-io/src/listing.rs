@@ -46,6 +46,7 @@ pub(crate) struct Wanted {
     pub(crate) points: bool,
     pub(crate) tracks: bool,
     pub(crate) masks: bool,
+    pub(crate) depth: bool,
     pub(crate) frame: Frame,
 }
 
@@ -85,10 +86,20 @@ pub(crate) struct ListedPhoto {
     pub(crate) purpose: Purpose,
     /// A picture that is black where the photo does not count.
     pub(crate) mask: Option<PathBuf>,
+    /// How far away what it shows is.
+    pub(crate) depth: Option<ListedDepth>,
     /// The points that it sees, in their order; none where that is not known or not asked for.
     pub(crate) seen: Vec<Sight>,
     /// When it was taken, where other lenses of a rig took photos, too: they are held out with it.
     pub(crate) moment: Option<u32>,
+}
+
+/// A depth map that is not decoded yet, and may not exist.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ListedDepth {
+    pub(crate) path: PathBuf,
+    /// What its values are multiplied by, world units.
+    pub(crate) unit: f64,
 }
 
 /// What a scene may say that a photo is for.

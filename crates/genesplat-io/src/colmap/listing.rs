@@ -86,7 +86,8 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
         let seen = sights(&seen.remove(&name).unwrap_or_default(), &camera, lens.as_ref());
         let moment = moments.remove(&name);
-        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None, seen, moment })
+        let (purpose, mask, depth) = (Purpose::Unsaid, None, None);
+        Ok(ListedPhoto { name, path, list, camera, lens, purpose, mask, depth, seen, moment })
     };
     let mut photos = photos.into_iter().map(listed).collect::<Result<Vec<_>, SceneError>>()?;
     let moved = move_cameras(&mut photos, wanted.frame);

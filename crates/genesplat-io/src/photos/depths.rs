@@ -7,8 +7,6 @@ use half::f16;
 use image::DynamicImage;
 
 use super::{EncodedPhoto, PhotoError, undecodable};
-use crate::digest::Digest;
-use crate::input;
 
 /// Most values of a map.
 const VALUES_MAX: usize = 1 << 28;
@@ -23,15 +21,7 @@ pub(crate) struct Depths {
 }
 
 impl Depths {
-    /// What the file at `path` holds, by its content, and its digest.
-    pub(crate) fn read(path: &Path) -> Result<(Self, Digest), PhotoError> {
-        let read = |source| PhotoError::Read { path: path.to_owned(), source };
-        let bytes = input::read(path).map_err(read)?;
-        let digest = Digest::of(&bytes);
-        Ok((Self::of(path, bytes)?, digest))
-    }
-
-    /// The same of the bytes of such a file.
+    /// What the file at `path`, of these bytes, holds, by its content.
     pub(crate) fn of(path: &Path, bytes: Vec<u8>) -> Result<Self, PhotoError> {
         let undecodable = |reason: String| undecodable(path, reason);
         if let Some(array) = bytes.strip_prefix(b"\x93NUMPY") {
@@ -97,11 +87,8 @@ fn of_numpy(bytes: &[u8]) -> Result<Depths, String> {
         return Err("its array is in Fortran's order; save it in C's order".into());
     }
     let shape = field("'shape'").and_then(|shape| shape.strip_prefix('(')?.split_once(')'));
-    let sides: Vec<u32> = shape
-        .map_or("", |(shape, _)| shape)
-        .split(',')
-        .filter_map(|side| side.trim().parse().ok())
-        .collect();
+    let sides: Vec<u32> =
+        shape.map_or("", |(shape, _)| shape).split(',').filter_map(|side| side.trim().parse().ok()).collect();
     let size = match sides[..] {
         [height, width] | [height, width, 1] => [width, height],
         _ => return Err(format!("its array has {} axes, and a depth map has two", sides.len())),
@@ -163,7 +150,8 @@ mod tests {
         let header = header.replace("<f4", "<f8").replace("(2, 3)", "(2, 3, 1)");
         assert_eq!(of(&numpy(1, &header, &doubles)).unwrap(), expected);
         let mut png = Vec::new();
-        let picture = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(2, 1, vec![1500u16, 65535]).unwrap();
+        let picture =
+            image::ImageBuffer::<image::Luma<u16>, _>::from_raw(2, 1, vec![1500u16, 65535]).unwrap();
         picture.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
         assert_eq!(of(&png).unwrap(), Depths { size: [2, 1], values: vec![1500.0, 65535.0] });
     }

@@ -7,6 +7,7 @@
 
 mod cut;
 mod decode;
+mod depths;
 mod exif;
 mod file;
 mod lens;
@@ -24,6 +25,7 @@ use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
 
 pub(crate) use cut::{Cut, Part, part_names};
+pub(crate) use depths::Depths;
 pub use exif::{LensTags, lens_tags};
 pub(crate) use file::PhotoFile;
 pub use lens::Lens;
@@ -32,7 +34,7 @@ pub(crate) use mask::PhotoMask;
 pub(crate) use memory::Room;
 pub use resize::resize;
 pub use size::PhotoSize;
-pub(crate) use undistort::{pinhole, undistort, undistort_mask};
+pub(crate) use undistort::{pinhole, source_px, undistort, undistort_mask};
 pub use upright::{Turn, turn_of, write_mask, write_upright};
 
 use self::decode::Encoded;

@@ -95,6 +95,12 @@ fn source(camera: &Camera, lens: &Lens, point: [f64; 2]) -> [f64; 2] {
     [0, 1].map(|axis| camera.focal_px[axis] * shown[axis] + camera.principal_px[axis])
 }
 
+/// Where the photo of `camera` shows what a picture of `pinhole` shows at a place, both pixels from the
+/// corner.
+pub(crate) fn source_px(camera: &Camera, lens: &Lens, pinhole: &Camera, at_px: [f64; 2]) -> [f64; 2] {
+    source(camera, lens, normalised(pinhole, at_px))
+}
+
 /// `photo`, taken by `camera` through a lens, as [`pinhole`] takes it, at a width and height that are not
 /// above its own.
 ///

@@ -110,7 +110,8 @@ mod tests {
     fn scale_and_shift_come_back_though_points_are_hidden() {
         for behind in [1000, 4, 3] {
             // What a network says: the scene is 0.37 times that, and 0.1.
-            let Fit::Line { scale, shift } = fit(&pairs(300, behind, |inverse| (inverse - 0.1) / 0.37)) else {
+            let Fit::Line { scale, shift } = fit(&pairs(300, behind, |inverse| (inverse - 0.1) / 0.37))
+            else {
                 panic!("one in {behind}")
             };
             assert!((scale / 0.37 - 1.0).abs() < 0.01 && (shift - 0.1).abs() < 0.003, "{scale} {shift}");

@@ -36,6 +36,9 @@ pub struct PhotoDigests {
     /// Of the file of its mask, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<Digest>,
+    /// Of the file of its depth map, if it has one that training looks at.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<Digest>,
     /// Of where its camera stands and looks.
     pub pose: Digest,
     /// Of its camera's size, focal lengths, principal point and lens, as the scene has them.
@@ -43,14 +46,19 @@ pub struct PhotoDigests {
 }
 
 impl PhotoDigests {
-    /// Those of a photo and a mask of these files.
-    pub(super) fn of(listed: &ListedPhoto, photo: Digest, mask: Option<Digest>) -> Self {
-        Self { mask, ..Self::new(&listed.name, photo, &listed.camera, listed.lens.as_ref()) }
+    /// Those of a photo, a mask and a depth map of these files.
+    pub(super) fn of(
+        listed: &ListedPhoto,
+        photo: Digest,
+        mask: Option<Digest>,
+        depth: Option<Digest>,
+    ) -> Self {
+        Self { mask, depth, ..Self::new(&listed.name, photo, &listed.camera, listed.lens.as_ref()) }
     }
 
     fn new(name: &str, photo: Digest, camera: &Camera, lens: Option<&Lens>) -> Self {
         let (pose, lens) = (pose(camera), intrinsics(camera, lens));
-        Self { name: name.to_owned(), held_out: false, photo, mask: None, pose, lens }
+        Self { name: name.to_owned(), held_out: false, photo, mask: None, depth: None, pose, lens }
     }
 
     /// Those of a photo without a file, by its pixels.

@@ -9,7 +9,7 @@ use super::LoadOptions;
 use super::view::SIDE_MIN_PX;
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, part_name};
-use crate::photos::{self, Cut, Lens, Part, PhotoMask};
+use crate::photos::{self, Cut, Depths, Lens, Part, PhotoMask};
 use crate::shown;
 
 /// Pinholes that were found, by the camera without its pose, and its lens: photos of one camera share theirs.
@@ -82,6 +82,28 @@ impl<'a> Frame<'a> {
         let size = options.size_of(pinhole.width, pinhole.height).into();
         check_size(listed, size)?;
         Ok(Self::Whole { camera, lens, pinhole, size })
+    }
+
+    /// The values of a depth map at the pixels of the view, the nearest ones; `None` for a photo of several
+    /// views, each of which looks along another axis.
+    pub(super) fn depths(&self, depths: &Depths) -> Option<Vec<f32>> {
+        let Self::Whole { camera, lens, pinhole, size: [width, height] } = self else { return None };
+        let fine = pinhole.resized(*width, *height);
+        let value = |row: u32, column: u32| {
+            let at = [column, row].map(|place| f64::from(place) + 0.5);
+            match lens {
+                Some(lens) => {
+                    depths.at(photos::source_px(camera, lens, &fine, at), [camera.width, camera.height])
+                }
+                None => depths.at(at, [*width, *height]),
+            }
+        };
+        Some(
+            (0..*height)
+                .flat_map(|row| (0..*width).map(move |column| (row, column)))
+                .map(|(row, column)| value(row, column))
+                .collect(),
+        )
     }
 
     /// Hands each view of the photo on, one after the other.

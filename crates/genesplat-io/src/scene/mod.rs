@@ -2,6 +2,8 @@
 
 mod bare;
 pub mod blocks;
+mod depth_fit;
+mod depths;
 mod digests;
 mod doubt;
 mod frame;
@@ -40,6 +42,8 @@ use crate::listing::{Frame, ListedPhoto, Listing, Wanted, damaged_notice};
 use crate::offset::{self, Offset};
 use crate::photos::PhotoSize;
 use crate::{input, plural, shown, transforms};
+use depth_fit::Fit;
+use depths::{Judge, Outcome};
 use frame::Pinholes;
 use view::{Loaded, Opened, PhotoStorage};
 
@@ -120,6 +124,8 @@ pub struct LoadOptions {
     pub offset: Option<Offset>,
     /// Whether [`Scene::seen`] is loaded, too, with the points.
     pub with_tracks: bool,
+    /// Whether [`View::depth`] is loaded, where photos have depth maps.
+    pub with_depth: bool,
     /// Seed of the random points that a scene without points starts from.
     pub seed: u64,
     /// When and where photos are kept in a file; `None`: in memory, however many they are.
@@ -150,6 +156,7 @@ impl Default for LoadOptions {
             sample: None,
             offset: None,
             with_tracks: false,
+            with_depth: false,
             seed: 0,
             spill: None,
         }
@@ -193,7 +200,10 @@ pub fn load_scene(
     progress: &dyn LoadProgress,
 ) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
-    let files = |photo: &ListedPhoto| std::iter::once(photo.path.clone()).chain(photo.mask.clone());
+    let files = |photo: &ListedPhoto| {
+        let depth = photo.depth.as_ref().map(|depth| depth.path.clone());
+        std::iter::once(photo.path.clone()).chain(photo.mask.clone()).chain(depth)
+    };
     let photos = listing.photos.iter().flat_map(files).collect();
     let (mut train, mut test) = split::split(listing.photos, &options.hold_out, path)?;
     if train.is_empty() {
@@ -210,7 +220,9 @@ pub fn load_scene(
     let seen = seen([&mut train, &mut test]);
     progress.start(train.len() + test.len());
     let mut notices = listing.notices;
-    let (loaded, digests) = load_photos([&train, &test], options, progress, &mut notices)?;
+    let own_points = if listing.has_points { &listing.points[..] } else { &[] };
+    let judge = Judge { points: own_points, seen: &seen };
+    let (loaded, digests) = load_photos([&train, &test], options, &judge, progress, &mut notices)?;
     let whole = whole(&loaded);
     let [train, test] =
         loaded.map(|photos| photos.into_iter().flat_map(|photo| photo.views).collect::<Vec<_>>());
@@ -262,13 +274,17 @@ type OfParts<T> = [Vec<T>; 2];
 fn load_photos(
     photos: [&[ListedPhoto]; 2],
     options: &LoadOptions,
+    judge: &Judge,
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
 ) -> Result<(OfParts<Loaded>, OfParts<PhotoDigests>), SceneError> {
     let (pinholes, storage) =
         (Pinholes::default(), PhotoStorage::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Opened>, SceneError> {
-        photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &storage, progress)).collect()
+        photos
+            .par_iter()
+            .map(|photo| view::load(photo, options, &pinholes, &storage, judge, progress))
+            .collect()
     };
     let (mut loaded, digests) = without_damaged([load(photos[0])?, load(photos[1])?], notices)?;
     notices.extend(cut_notice(&loaded));
@@ -280,6 +296,7 @@ fn load_photos(
         transparent: count(|loaded| loaded.is_transparent),
     };
     notices.extend(options.mask.notices(found));
+    notices.extend(settle_depths(&mut loaded));
     loaded.iter_mut().flatten().for_each(|photo| photo.views.retain(|view| view.counted_pixels() > 0));
     let all = || loaded.iter().flatten();
     if let Some(hidden) = all().find(|photo| photo.views.is_empty()) {
@@ -288,6 +305,17 @@ fn load_photos(
         notices.push(format!("{count} {photos} hidden entirely and left out, first {}", shown(&hidden.name)));
     }
     Ok((loaded, digests))
+}
+
+/// Leaves out the depth maps whose unit nobody knows where most of the others had another; what to say of all.
+fn settle_depths(photos: &mut OfParts<Loaded>) -> Vec<String> {
+    let drops_unknown = depths::are_strange(photos.iter().flatten().map(|photo| &photo.depth));
+    let is_unknown = |photo: &&mut Loaded| matches!(photo.depth, Outcome::Used(Fit::Unknown));
+    for photo in photos.iter_mut().flatten().filter(|photo| drops_unknown && is_unknown(photo)) {
+        photo.views.iter_mut().for_each(|view| view.depth = None);
+    }
+    let outcomes: Vec<&Outcome> = photos.iter().flatten().map(|photo| &photo.depth).collect();
+    depths::notices(&outcomes, drops_unknown)
 }
 
 /// How many photos show more than a pinhole can, if any do.
@@ -332,7 +360,9 @@ fn digests_of(listed: &ListedPhoto) -> Result<PhotoDigests, SceneError> {
         Ok::<_, SceneError>(Digest::of(&bytes))
     };
     let mask = listed.mask.as_deref().map(digest).transpose()?;
-    Ok(PhotoDigests::of(listed, digest(&listed.path)?, mask))
+    // A depth map that is not there, or damaged, is left out.
+    let depth = listed.depth.as_ref().and_then(|depth| digest(&depth.path).ok());
+    Ok(PhotoDigests::of(listed, digest(&listed.path)?, mask, depth))
 }
 
 /// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the
@@ -400,7 +430,8 @@ fn wanted(scene: &Path, options: &LoadOptions) -> Result<Wanted, SceneError> {
     let already = offset::of_scene(scene)?;
     let frame = Frame { asked: options.offset, already };
     let tracks = options.with_points && options.with_tracks;
-    Ok(Wanted { points: options.with_points, tracks, masks: options.mask != MaskUse::Off, frame })
+    let (points, masks, depth) = (options.with_points, options.mask != MaskUse::Off, options.with_depth);
+    Ok(Wanted { points, tracks, masks, depth, frame })
 }
 
 /// Fails where one of these folders is there and must not be read.
@@ -417,6 +448,9 @@ fn check_readable(folders: [&Path; 4]) -> Result<(), SceneError> {
 /// training would find it out only after the photos are decoded.
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene, options.mask);
+    if options.with_depth {
+        depths::find(&mut listing, scene);
+    }
     listing.notices.extend(precision::check(&listing)?);
     listing.set_near(options.near);
     listing.check_not_shared()?;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use genesplat_core::{Mask, Photo, StoredPhoto, View};
 
+use super::depths::{self, Judge, Outcome};
 use super::frame::{self, Frame, Picture, Pinholes, is_same_shape};
 use super::{LoadOptions, LoadProgress, MaskUse, PhotoDigests, Spill, digests_of};
 use crate::digest::Digest;
@@ -30,6 +31,7 @@ pub(super) struct Loaded {
     pub(super) views: Vec<View>,
     pub(super) is_masked: bool,
     pub(super) is_transparent: bool,
+    pub(super) depth: Outcome,
 }
 
 /// Where loaded photos stay.
@@ -41,7 +43,8 @@ impl<'a> PhotoStorage<'a> {
         photos: impl Iterator<Item = &'b ListedPhoto>,
         options: &'a LoadOptions,
     ) -> Result<Self, SceneError> {
-        let bytes = |photo: &ListedPhoto| 3 * frame::loaded_pixels(photo, options);
+        let planes = |photo: &ListedPhoto| if photo.depth.is_some() { 6 } else { 3 };
+        let bytes = |photo: &ListedPhoto| planes(photo) * frame::loaded_pixels(photo, options);
         let spill = options.spill.as_ref();
         Self::in_file(spill.filter(|spill| photos.map(bytes).sum::<u64>() > spill.memory_bytes))
     }
@@ -70,9 +73,10 @@ pub(super) fn load(
     options: &LoadOptions,
     pinholes: &Pinholes,
     storage: &PhotoStorage,
+    judge: &Judge,
     progress: &dyn LoadProgress,
 ) -> Result<Opened, SceneError> {
-    let opened = match load_sound(listed, options, pinholes, storage) {
+    let opened = match load_sound(listed, options, pinholes, storage, judge) {
         Err(SceneError::Photo(error @ PhotoError::Decode { .. })) if error.path() == listed.path => {
             Opened { digests: digests_of(listed)?, loaded: Err(error) }
         }
@@ -87,6 +91,7 @@ fn load_sound(
     options: &LoadOptions,
     pinholes: &Pinholes,
     storage: &PhotoStorage,
+    judge: &Judge,
 ) -> Result<Opened, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?;
     let digest = photo.digest();
@@ -96,7 +101,6 @@ fn load_sound(
     // Before the room of the photo is taken: it has a room of its own.
     let mask = listed.mask.as_deref().map(|file| open_mask(file, size.into())).transpose()?;
     let (mask, mask_digest) = mask.unzip();
-    let digests = PhotoDigests::of(listed, digest, mask_digest);
     // Whatever follows runs on this thread alone.
     let _room = photo.wait_for_room();
     let (mut photo, opaque) = photo.decode_with_opaque(options.background)?;
@@ -112,8 +116,11 @@ fn load_sound(
         views.push(View { name, camera, photo: storage.keep(photo)?, mask, depth: None });
         Ok::<_, SceneError>(())
     })?;
+    let (depth, depth_digest) = depths::load(listed, &frame, views.first_mut(), judge, storage)?;
+    let digests = PhotoDigests::of(listed, digest, mask_digest, depth_digest);
     let name = listed.name.clone();
-    Ok(Opened { digests, loaded: Ok(Loaded { name, views, is_masked, is_transparent }) })
+    let loaded = Loaded { name, views, is_masked, is_transparent, depth };
+    Ok(Opened { digests, loaded: Ok(loaded) })
 }
 
 /// What counts for nothing, if anything does.

@@ -157,6 +157,10 @@ fn points_outside(list: &Path, name: &str) -> SceneError {
     SceneError::invalid(list, format!("has the ply_file_path {name:?}, {problem}"))
 }
 
+/// World units of what depth maps hold where a file does not say (nerfstudio): they are millimetres, in
+/// metres.
+const DEPTH_UNIT: f64 = 1e-3;
+
 /// What the file `list` lists. Each photo has this `purpose`; without one, what the file's own lists say.
 fn read_photos(list: &Path, purpose: Option<Purpose>, wanted: Wanted) -> Result<Found, SceneError> {
     let mut file = schema::read(list)?;
@@ -167,7 +171,8 @@ fn read_photos(list: &Path, purpose: Option<Purpose>, wanted: Wanted) -> Result<
     file.names_mut().for_each(|(usual, name)| settle(name, folder, usual));
     let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let scale = camera::common_scale(file.frames.iter());
-    let mut reading = Reading::of(list, folder, wanted, scale);
+    let depth_unit = file.depth_unit_scale_factor.unwrap_or(DEPTH_UNIT);
+    let mut reading = Reading::of(list, folder, wanted, scale, depth_unit);
     for entry in &file.frames {
         let listed = splits.as_ref().map(|splits| splits.purpose(&entry.file_path, list)).transpose()?;
         let purpose = purpose.or(listed).unwrap_or_default();

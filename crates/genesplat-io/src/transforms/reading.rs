@@ -7,8 +7,8 @@ use super::schema::{OptionalIntrinsics, PhotoEntry};
 use super::{ENDS, Found, camera, with_end};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Purpose, Wanted, absent_notice, damaged_notice, inside, lost_poses, path_inside,
-    similar_notice,
+    ListedDepth, ListedPhoto, Purpose, Wanted, absent_notice, damaged_notice, inside, lost_poses,
+    path_inside, similar_notice,
 };
 use crate::photos::PhotoError;
 use crate::shown;
@@ -21,6 +21,8 @@ pub(super) struct Reading<'a> {
     pub(super) wanted: Wanted,
     /// [`camera::common_scale`]
     pub(super) scale: f64,
+    /// World units of what depth maps hold.
+    pub(super) depth_unit: f64,
     shared: Arc<Path>,
     photos: Vec<ListedPhoto>,
     /// Where photos should be that do not exist.
@@ -35,12 +37,13 @@ pub(super) struct Reading<'a> {
 
 impl<'a> Reading<'a> {
     /// Nothing so far, of the file `list` in `folder`.
-    pub(super) fn of(list: &'a Path, folder: &'a Path, wanted: Wanted, scale: f64) -> Self {
+    pub(super) fn of(list: &'a Path, folder: &'a Path, wanted: Wanted, scale: f64, depth_unit: f64) -> Self {
         Self {
             list,
             folder,
             wanted,
             scale,
+            depth_unit,
             shared: list.into(),
             photos: Vec::new(),
             missing: Vec::new(),
@@ -75,9 +78,11 @@ impl<'a> Reading<'a> {
         };
         let mask = entry.mask_path.as_deref().filter(|_| self.wanted.masks);
         let mask = mask.map(|name| self.find_mask(name)).transpose()?;
+        let depth = entry.depth_file_path.as_deref().filter(|_| self.wanted.depth);
+        let depth = depth.map(|name| self.depth(name)).transpose()?;
         let list = self.shared.clone();
         let (seen, moment) = (Vec::new(), None);
-        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, seen, moment });
+        self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, depth, seen, moment });
         Ok(())
     }
 
@@ -98,6 +103,16 @@ impl<'a> Reading<'a> {
                 "which is no file in the scene's folder; put it there, or go on without masks by --mask off";
             SceneError::invalid(self.list, format!("names the mask {name:?}, {problem}"))
         })
+    }
+
+    /// The depth map that a photo's entry names, whether it is there or not.
+    fn depth(&self, name: &str) -> Result<ListedDepth, SceneError> {
+        let relative = path_inside(name).ok_or_else(|| {
+            let problem =
+                "which is no path inside the scene's folder; correct it, or go on without by --depth off";
+            SceneError::invalid(self.list, format!("names the depth map {name:?}, {problem}"))
+        })?;
+        Ok(ListedDepth { path: self.folder.join(relative), unit: self.depth_unit })
     }
 
     /// What was found, with the cloud of `points` that the file names.

@@ -18,6 +18,9 @@ pub(super) struct Transforms {
     pub(super) frames: Vec<PhotoEntry>,
     /// A point cloud in the frame of the poses, relative to the file.
     pub(super) ply_file_path: Option<String>,
+    /// What the values of depth maps are multiplied by; nerfstudio's default is thousandths.
+    #[serde(default, deserialize_with = "number::optional")]
+    pub(super) depth_unit_scale_factor: Option<f64>,
     /// Lists of paths that newer nerfstudio writes, and [`super::splits`] reads.
     pub(super) train_filenames: Option<Vec<String>>,
     pub(super) val_filenames: Option<Vec<String>>,
@@ -31,7 +34,8 @@ impl Transforms {
         let listed = lists.into_iter().flatten().flatten().map(|name| ("images", name));
         let of_entry = |entry: &'a mut PhotoEntry| {
             let mask = entry.mask_path.as_mut().map(|name| ("masks", name));
-            [("images", &mut entry.file_path)].into_iter().chain(mask)
+            let depth = entry.depth_file_path.as_mut().map(|name| ("depths", name));
+            [("images", &mut entry.file_path)].into_iter().chain(mask).chain(depth)
         };
         let points = self.ply_file_path.as_mut().map(|name| ("", name));
         self.frames.iter_mut().flat_map(of_entry).chain(listed).chain(points)
@@ -47,6 +51,8 @@ pub(super) struct PhotoEntry {
     pub(super) transform_matrix: Vec<[f64; 4]>,
     /// Its mask, relative to the file.
     pub(super) mask_path: Option<String>,
+    /// Its depth map, relative to the file.
+    pub(super) depth_file_path: Option<String>,
     /// What differs from the file's.
     #[serde(flatten)]
     pub(super) intrinsics: OptionalIntrinsics,
