@@ -221,6 +221,9 @@ impl Plan {
     fn corrected(&self, out: &Path, resumes: bool, stop: &AtomicBool) -> anyhow::Result<(Scene, Corrected)> {
         // Photos are shared.
         let (mut scene, spill) = (Arc::unwrap_or_clone(self.with_far_points()?), spill());
+        if !self.config.looks_at_depth() {
+            scene.forget_depth();
+        }
         if resumes {
             let corrected = Corrected::again(Inputs::of_checkpoint(out)?, &mut scene, Some(&spill))?;
             return Ok((scene, corrected));

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use genesplat::core::View;
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::{Offset, SIDE_MIN_PX, Scene};
-use genesplat::run::settings::{ConfigFile, Dataset};
+use genesplat::run::settings::{ConfigFile, Dataset, DepthUse};
 use genesplat::run::{inputs, scene};
 use genesplat::train::{Background, TrainConfig};
 use numpy::ndarray::Array2;
@@ -98,7 +98,9 @@ impl LoadedScene {
         file.dataset.path = std::path::absolute(&file.dataset.path)?;
         let ConfigFile { dataset, train: TrainConfig { background, seed, .. }, .. } = file;
         let background = background.fixed_colour();
-        let load = || scene::load(&dataset, background, seed, Some(spill()), offset);
+        // Which method is trained on it is not known yet.
+        let with_depth = dataset.depth != DepthUse::Off;
+        let load = || scene::load(&dataset, with_depth, background, seed, Some(spill()), offset);
         let scene = wait_for(py, &AtomicBool::new(false), load)?.map_err(told)?;
         Ok(Self { scene: scene.into(), dataset, background })
     }

@@ -30,9 +30,10 @@ pub(crate) fn digests(settings: &Settings, scene: &Scene, corrected: &Corrected)
         |words: &dyn Fn(&PhotoDigests) -> Vec<u8>| scene.photos.iter().flat_map(words).collect::<Vec<u8>>();
     let camera = |photo: &PhotoDigests| [photo.pose.bytes(), photo.lens.bytes()].concat();
     let photo = |photo: &PhotoDigests| {
-        let mask = photo.mask.map_or([0; 32], |mask| mask.bytes());
+        let [mask, depth] =
+            [photo.mask, photo.depth].map(|file| file.map_or([0; 32], |digest| digest.bytes()));
         let name = Digest::of(photo.name.as_bytes()).bytes();
-        [&name[..], &[photo.held_out.into()], &photo.photo.bytes(), &mask].concat()
+        [&name[..], &[photo.held_out.into()], &photo.photo.bytes(), &mask, &depth].concat()
     };
     let offset = scene.offset.into_iter().flatten().flat_map(f64::to_le_bytes).collect();
     let points = scene.points.map_or(Vec::new(), |points| points.bytes().to_vec());

@@ -255,11 +255,12 @@ fn changes_of(began: &PhotoDigests, now: &PhotoDigests) -> Vec<String> {
         (Some(_), None) => Some(format!("{photo} has no mask, and had one when the run began")),
         (began, now) => (began != now).then(|| not_the_same(&format!("the mask of {photo}"))),
     };
+    let depth = (began.depth != now.depth).then(|| not_the_same(&format!("the depth map of {photo}")));
     let picture = (began.photo != now.photo).then(|| not_the_same(&photo));
     let lens = (began.lens != now.lens)
         .then(|| not_the_same(&format!("the camera (size, focal length or lens) of {photo}")));
     let pose = (began.pose != now.pose).then(|| not_the_same(&format!("the pose of {photo}")));
-    [picture, mask, lens, pose].into_iter().flatten().collect()
+    [picture, mask, depth, lens, pose].into_iter().flatten().collect()
 }
 
 #[cfg(test)]

@@ -64,6 +64,10 @@ pub struct Metrics {
     /// Where photos were brought to one exposure: how `test` is to be read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<ExposureFigures>,
+    /// How far off the depths of photos are that training never saw, where they have depth maps: the mean of
+    /// `|z' / z - 1|`, at most 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub test_depth_error: Option<f64>,
     /// Where the time went.
     pub seconds: PhaseSeconds,
     /// Most memory held at once; `null` where the system does not tell.

@@ -15,7 +15,7 @@ use crate::far;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
-use crate::settings::Dataset;
+use crate::settings::{Dataset, DepthUse};
 
 /// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are
 /// trained.
@@ -25,17 +25,18 @@ pub const PHOTO_MEMORY: u64 = 1 << 30;
 pub const PHOTOS_MIN: usize = 10;
 
 /// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go
-/// that memory should not hold, and `offset` where the scene lay when its run began, if it goes on. Of its
-/// doubts, [`check_promising`] tells.
+/// that memory should not hold, and `offset` where the scene lay when its run began, if it goes on; depth maps
+/// come along if they are wanted. Of its doubts, [`check_promising`] tells.
 pub fn load(
     dataset: &Dataset,
+    with_depth: bool,
     background: [f32; 3],
     seed: u64,
     spill: Option<Spill>,
     offset: Option<Offset>,
 ) -> Result<Scene> {
-    let with_tracks = dataset.corrections != Corrections::Off;
-    let options = LoadOptions { seed, spill, offset, with_tracks, ..dataset.options() };
+    let with_tracks = with_depth || dataset.corrections != Corrections::Off;
+    let options = LoadOptions { seed, spill, offset, with_tracks, with_depth, ..dataset.options() };
     told(read(&dataset.path, background, options))
 }
 
@@ -57,7 +58,9 @@ pub fn far_points(scene: &Scene, train: &TrainConfig) -> Result<Vec<Point>> {
 
 /// The same to inspect: notices are the caller's to tell.
 pub fn load_to_inspect(dataset: &Dataset, seed: u64) -> Result<Scene> {
-    read(&dataset.path, [0.0; 3], LoadOptions { seed, ..dataset.options() })
+    let with_depth = dataset.depth != DepthUse::Off;
+    let options = LoadOptions { seed, with_tracks: with_depth, with_depth, ..dataset.options() };
+    read(&dataset.path, [0.0; 3], options)
 }
 
 /// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`. It

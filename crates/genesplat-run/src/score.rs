@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Result;
 use genesplat_core::{Image, RenderSettings, View};
 use genesplat_io::photos::write_own_png;
-use genesplat_metrics::{Evaluation, Lpips, ViewScore, cc_psnr, psnr_under, score_view};
+use genesplat_metrics::{Evaluation, Lpips, ViewScore, cc_psnr, depth_error, psnr_under, score_view};
 use rayon::prelude::*;
 
 use crate::TEST;
@@ -24,6 +24,8 @@ pub struct Scores {
     pub at_other: Option<AtOther>,
     /// Mean PSNR after a fit of each render's colours to its photo, dB; not finite where there is no photo.
     pub cc_psnr: f64,
+    /// Mean over the photos that have a depth map, of [`genesplat_metrics::depth_error`].
+    pub depth_error: Option<f64>,
 }
 
 /// Mean PSNR of photos, dB; not finite where there is none.
@@ -86,8 +88,10 @@ pub(crate) fn evaluate_until(
         mean_exposure: mean(|of_photo| of_photo.at_mean),
         track_exposure: mean(|of_photo| of_photo.at_track),
     });
+    let errors: Vec<f64> = scored.iter().filter_map(|of_photo| of_photo.depth_error).collect();
+    let depth_error = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
     let scores = Evaluation::from_views(scored.into_iter().map(|of_photo| of_photo.score).collect());
-    Ok(Some(Scores { scores, at_other, cc_psnr }))
+    Ok(Some(Scores { scores, at_other, cc_psnr, depth_error }))
 }
 
 /// Scores the first photos of `views`, as many as are scored at once, for who wants to know how long it
@@ -115,6 +119,7 @@ struct Scoring<'a> {
 struct Rendered {
     view: View,
     image: Image,
+    depth_error: Option<f64>,
 }
 
 /// What a photo adds to [`Scores`].
@@ -123,6 +128,7 @@ struct Scored {
     at_mean: f64,
     at_track: f64,
     cc_psnr: f64,
+    depth_error: Option<f64>,
 }
 
 impl Scoring<'_> {
@@ -145,10 +151,11 @@ impl Scoring<'_> {
 
     fn render(&self, device: &mut Device, view: &View) -> Result<Rendered> {
         let view = self.light.map_or_else(|| Ok(view.clone()), |light| light.as_taken(view))?;
-        Ok(Rendered { image: device.render(&view.camera, self.settings)?, view })
+        let depth_error = depth_error(device.as_mut(), &view, self.settings)?;
+        Ok(Rendered { image: device.render(&view.camera, self.settings)?, view, depth_error })
     }
 
-    fn score_one(&self, Rendered { view, image }: &Rendered, name: &str) -> Result<Scored> {
+    fn score_one(&self, Rendered { view, image, depth_error }: &Rendered, name: &str) -> Result<Scored> {
         let (photo, mask) = (view.photo.read()?, view.mask.as_deref());
         let [expected, at_mean, at_track] = self.shades(&view.name).map(|shade| {
             let mut image = image.clone();
@@ -162,6 +169,7 @@ impl Scoring<'_> {
             at_mean: psnr_under(mask, &at_mean, &photo)?,
             at_track: psnr_under(mask, &at_track, &photo)?,
             cc_psnr: cc_psnr(mask, &at_track, &photo)?,
+            depth_error: *depth_error,
         })
     }
 

@@ -74,6 +74,8 @@ pub struct PhotosAsked {
     pub near: Option<f64>,
     /// Whether photos are brought to one exposure.
     pub corrections: Option<Corrections>,
+    /// Whether depth maps train.
+    pub depth: Option<DepthUse>,
 }
 
 impl PhotosAsked {
@@ -86,6 +88,7 @@ impl PhotosAsked {
         dataset.mask = self.mask.unwrap_or(dataset.mask);
         dataset.near = self.near.or(dataset.near);
         dataset.corrections = self.corrections.unwrap_or(dataset.corrections);
+        dataset.depth = self.depth.unwrap_or(dataset.depth);
         if let Some(hold_out) = &self.hold_out {
             dataset.hold_out = hold_out.clone();
         }
@@ -127,6 +130,19 @@ pub struct Settings {
     pub schedule: Schedule,
 }
 
+/// Whether depth maps train, where a scene has them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DepthUse {
+    /// They do, with any method.
+    On,
+    /// They do with ours: published methods know photos alone.
+    #[default]
+    Auto,
+    /// They are not looked for.
+    Off,
+}
+
 /// Where the photos are and how large they are loaded.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -153,6 +169,10 @@ pub struct Dataset {
     /// `off`, or `auto` for where that is worth it and the method is ours; left out for `auto`.
     #[serde(skip_serializing_if = "is_default")]
     pub corrections: Corrections,
+    /// Whether depth maps train shapes, where the scene has them: `on`, `off`, or `auto` for where the method
+    /// is ours; left out for `auto`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub depth: DepthUse,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,
     /// `{ photos = ["a.jpg"] }`, `"none"`.
     #[serde(skip_serializing_if = "is_default")]
@@ -205,6 +225,15 @@ impl ConfigFile {
         match (self.dataset.corrections, self.train.method.name) {
             (Corrections::Auto, name) if name != MethodName::Genesplat => Corrections::Off,
             (asked, _) => asked,
+        }
+    }
+
+    /// Whether depth maps train, where the scene has them.
+    pub fn looks_at_depth(&self) -> bool {
+        match self.dataset.depth {
+            DepthUse::On => true,
+            DepthUse::Auto => self.train.method.name == MethodName::Genesplat,
+            DepthUse::Off => false,
         }
     }
 

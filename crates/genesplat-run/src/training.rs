@@ -260,6 +260,7 @@ impl Run<'_> {
             seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
+            test_depth_error: test.depth_error,
             exposure: self.exposure().map(|exposure| ExposureFigures::of(exposure, &test)),
             test: test.scores,
             train,

@@ -24,25 +24,27 @@ pub struct Schedule {
     /// Iterations of the run.
     pub iterations: u32,
     timeline: Timeline,
+    has_depth: bool,
 }
 
 impl Schedule {
     /// The schedule of a valid configuration, with photos that are not known yet: few.
     pub(crate) fn new(config: TrainConfig) -> Self {
         let timeline = config.method.name.method().timeline(&config, u32::MAX);
-        Self { iterations: timeline.iterations, timeline, config }
+        Self { iterations: timeline.iterations, timeline, config, has_depth: false }
     }
 
     /// The same of a run from points on so many photos.
     pub fn on(&self, photos: usize) -> Self {
         let looks = self.iterations / (photos as u32).max(1);
         let timeline = self.method().timeline(&self.config, looks);
-        Self { timeline, ..self.clone() }
+        let schedule = Self { timeline, has_depth: false, ..self.clone() };
+        if self.has_depth { schedule.with_depth() } else { schedule }
     }
 
     /// The same in a scene with depth maps.
     pub fn with_depth(self) -> Self {
-        Self { timeline: self.timeline.with_depth(), ..self }
+        Self { timeline: self.timeline.with_depth(), has_depth: true, ..self }
     }
 
     /// Weight of a look at a depth map in iteration `i`: it falls exponentially, so that photos have the last

@@ -244,6 +244,12 @@ impl Scene {
         self.digests.points == Some(digests::of_points(&[]))
     }
 
+    /// As if no photo had a depth map.
+    pub fn forget_depth(&mut self) {
+        self.train.iter_mut().chain(&mut self.test).for_each(|view| view.depth = None);
+        self.digests.photos.iter_mut().for_each(|photo| photo.depth = None);
+    }
+
     /// The name of the photo that the view of this name shows, or a part of.
     pub fn photo_of<'a>(&'a self, view: &'a str) -> &'a str {
         self.whole.get(view).map_or(view, |photo| photo)

@@ -157,7 +157,8 @@ impl Study<'_> {
 /// Anew for each run, since loading counts in its seconds.
 fn load(settings: &Settings) -> Result<Scene> {
     let config = settings.schedule.config();
-    let scene = scene::load(&settings.dataset, config.background.fixed_colour(), config.seed, None, None)?;
+    let scene =
+        scene::load(&settings.dataset, false, config.background.fixed_colour(), config.seed, None, None)?;
     if scene.test.is_empty() {
         bail!("{} holds no photo out, so there is no quality to reach", shown(&settings.dataset.path));
     }

@@ -193,8 +193,14 @@ impl<'a> Runner<'a> {
             self.has_gallery.store(true, Ordering::Relaxed);
         }
         let spill = Spill { folder: self.out.to_owned(), memory_bytes: scene::PHOTO_MEMORY };
-        let scene =
-            scene::load(&settings.dataset, config.background.fixed_colour(), config.seed, Some(spill), None)?;
+        let scene = scene::load(
+            &settings.dataset,
+            false,
+            config.background.fixed_colour(),
+            config.seed,
+            Some(spill),
+            None,
+        )?;
         scene.doubts.iter().for_each(|doubt| output::tell(&format!("notice: {}", doubt.problem)));
         Ok(scene)
     }

@@ -5,6 +5,7 @@ use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
 use genesplat::run::exposure::Corrections;
 use genesplat::run::metrics::Split;
+use genesplat::run::settings::DepthUse;
 use genesplat::train::{Background, MethodName};
 
 /// `--method`.
@@ -73,6 +74,13 @@ pub(crate) const CORRECTIONS: &[Choice<Corrections>] = &[
     (Corrections::On, &["on"], "By what points that photos share say; an error where they say nothing"),
     (Corrections::Auto, &["auto"], "The same where they say something that is worth it, else off"),
     (Corrections::Off, &["off"], "Photos are trained on as they are"),
+];
+
+/// `--depth`.
+pub(crate) const DEPTHS: &[Choice<DepthUse>] = &[
+    (DepthUse::On, &["on"], "They do, with any method"),
+    (DepthUse::Auto, &["auto"], "They do with genesplat; published methods know photos alone"),
+    (DepthUse::Off, &["off"], "They are not looked for"),
 ];
 
 /// `--mask`.

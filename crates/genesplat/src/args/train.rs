@@ -9,10 +9,10 @@ use genesplat::flags::{LpipsArgs, MORE, MachineArgs, choice, scale};
 use genesplat::io::archive::is_zip;
 use genesplat::run::exposure::Corrections;
 use genesplat::run::minutes::RANGE;
-use genesplat::run::settings::{PhotosAsked, Training};
+use genesplat::run::settings::{DepthUse, PhotosAsked, Training};
 use genesplat::train::{Background, MethodConfig, MethodName, TrainConfig};
 
-use super::choice::{BACKGROUNDS, CORRECTIONS, METHODS, PRESETS};
+use super::choice::{BACKGROUNDS, CORRECTIONS, DEPTHS, METHODS, PRESETS};
 use super::{PhotosArgs, SEEDS, TrainPageArgs};
 
 #[derive(Debug, Args)]
@@ -51,6 +51,10 @@ pub(crate) struct TrainArgs {
     /// photos nearby (docs/scenes.md)
     #[arg(long, value_name = "USE", value_parser = choice(CORRECTIONS), ignore_case = true)]
     pub(crate) corrections: Option<Corrections>,
+    /// Whether depth maps train shapes, where the scene has them: depth_file_path of transforms.json, or
+    /// COLMAP's stereo/depth_maps (docs/scenes.md) [default: auto]
+    #[arg(long, value_name = "USE", value_parser = choice(DEPTHS), ignore_case = true)]
+    pub(crate) depth: Option<DepthUse>,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default:
     /// none]
     #[arg(long, value_name = "FILE.toml")]
@@ -110,7 +114,7 @@ impl TrainArgs {
             accepts_changes: self.accept_changes,
             config: self.config.as_deref(),
             preset: self.preset,
-            photos: PhotosAsked { corrections: self.corrections, ..self.photos.asked()? },
+            photos: PhotosAsked { corrections: self.corrections, depth: self.depth, ..self.photos.asked()? },
             machine: self.machine.into(),
             over,
         })

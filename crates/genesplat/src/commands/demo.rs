@@ -151,7 +151,7 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
     let options = GalleryOptions { seed, views: VIEWS, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
-    scene::load(&Dataset::of(folder, &PhotosAsked::default()), [0.0; 3], seed, None, None)
+    scene::load(&Dataset::of(folder, &PhotosAsked::default()), false, [0.0; 3], seed, None, None)
 }
 
 struct Half {
@@ -279,6 +279,7 @@ mod tests {
             test: scores(psnr),
             train: scores(psnr),
             exposure: None,
+            test_depth_error: None,
             seconds: PhaseSeconds::default(),
             peak_memory_bytes: None,
             evolution: Vec::new(),

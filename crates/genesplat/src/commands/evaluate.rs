@@ -99,7 +99,7 @@ fn evaluate_splat(path: &Path, args: &EvaluateArgs) -> Result<()> {
 }
 
 fn report(dataset: String, (split, size, gaussians): (Split, [u32; 2], usize), found: Scores) -> Report {
-    let Scores { scores, at_other, cc_psnr } = found;
+    let Scores { scores, at_other, cc_psnr, .. } = found;
     let exposure = at_other
         .map(|at| AtExposure { psnr_at_track_exposure: at.track_exposure, psnr_raw: at.mean_exposure });
     let cc_psnr = Some(cc_psnr).filter(|psnr| psnr.is_finite());

@@ -155,7 +155,9 @@ fn load(
     let background = config.train.background.fixed_colour();
     let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
     let offset = if args.resume { inputs::offset(&args.out) } else { None };
-    let mut scene = scene::load(&config.dataset, background, config.train.seed, Some(spill.clone()), offset)?;
+    let (dataset, with_depth) = (&config.dataset, config.looks_at_depth());
+    let mut scene =
+        scene::load(dataset, with_depth, background, config.train.seed, Some(spill.clone()), offset)?;
     scene.points.extend(scene::far_points(&scene, &config.train)?);
     // A run that goes on was begun all the same.
     scene::check_promising(&scene, args.anyway || args.resume)?;

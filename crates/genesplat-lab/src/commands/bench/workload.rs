@@ -53,7 +53,7 @@ impl Source {
     }
 
     fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
-        let scene = scene::load(&Dataset::of(data, &size.asked()), [0.0; 3], 0, None, None)?;
+        let scene = scene::load(&Dataset::of(data, &size.asked()), false, [0.0; 3], 0, None, None)?;
         let points = scene::points(&scene);
         let (views, settings) = (scene.train.clone(), RenderSettings::default());
         Ok(Self { views, settings, scene: Some(scene), origin: Origin::Points(points) })
