@@ -15,7 +15,7 @@ use crate::far;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
-use crate::settings::{Dataset, DepthUse};
+use crate::settings::Dataset;
 
 /// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are
 /// trained.
@@ -57,8 +57,7 @@ pub fn far_points(scene: &Scene, train: &TrainConfig) -> Result<Vec<Point>> {
 }
 
 /// The same to inspect: notices are the caller's to tell.
-pub fn load_to_inspect(dataset: &Dataset, seed: u64) -> Result<Scene> {
-    let with_depth = dataset.depth != DepthUse::Off;
+pub fn load_to_inspect(dataset: &Dataset, with_depth: bool, seed: u64) -> Result<Scene> {
     let options = LoadOptions { seed, with_tracks: with_depth, with_depth, ..dataset.options() };
     read(&dataset.path, [0.0; 3], options)
 }

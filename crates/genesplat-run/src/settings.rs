@@ -143,6 +143,17 @@ pub enum DepthUse {
     Off,
 }
 
+impl DepthUse {
+    /// Whether they train with this method.
+    pub fn serves(self, method: MethodName) -> bool {
+        match self {
+            Self::On => true,
+            Self::Auto => method == MethodName::Genesplat,
+            Self::Off => false,
+        }
+    }
+}
+
 /// Where the photos are and how large they are loaded.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -230,11 +241,7 @@ impl ConfigFile {
 
     /// Whether depth maps train, where the scene has them.
     pub fn looks_at_depth(&self) -> bool {
-        match self.dataset.depth {
-            DepthUse::On => true,
-            DepthUse::Auto => self.train.method.name == MethodName::Genesplat,
-            DepthUse::Off => false,
-        }
+        self.dataset.depth.serves(self.train.method.name)
     }
 
     /// What no file changes.

@@ -12,6 +12,10 @@ const ROUNDS: u32 = 30;
 /// A line is believed where it takes this part of the median difference away.
 const BETTER: f64 = 1.0 / 3.0;
 
+/// Points that lie at different depths, by this part of them, must be told apart better than by one depth for
+/// all: any map can be made that.
+const SPREAD: f64 = 0.02;
+
 /// A map is of its photo where so many points lie within [`NEAR`] of it.
 const AGREED: f64 = 1.0 / 3.0;
 const NEAR: f64 = 0.1;
@@ -38,7 +42,10 @@ pub(super) fn fit(pairs: &[[f64; 2]]) -> Fit {
     let line = line(pairs).filter(|&(scale, shift)| median_off(pairs, scale, shift) < (1.0 - BETTER) * same);
     let (scale, shift) = line.unwrap_or((1.0, 0.0));
     let agree = pairs.iter().filter(|[map, point]| ((scale * map + shift) / point - 1.0).abs() < NEAR);
-    if (agree.count() as f64) < AGREED * pairs.len() as f64 {
+    let middle = median(pairs.iter().map(|[_, point]| *point).collect());
+    let spread = median_off(pairs, 0.0, middle);
+    let tells_nothing = spread > SPREAD * middle && median_off(pairs, scale, shift) > (1.0 - BETTER) * spread;
+    if tells_nothing || (agree.count() as f64) < AGREED * pairs.len() as f64 {
         return Fit::Other;
     }
     line.map_or(Fit::Same, |(scale, shift)| Fit::Line { scale, shift })

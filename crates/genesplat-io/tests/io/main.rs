@@ -3,6 +3,7 @@
 mod archive;
 mod colmap;
 mod common;
+mod depth;
 mod extremes;
 mod far;
 mod foreign;

@@ -74,6 +74,7 @@ class Scene:
         mask: str = "usual",
         near: Optional[float] = None,
         corrections: str = "auto",
+        depth: str = "auto",
         background: str = "black",
         seed: int = 0,
     ) -> Scene:
@@ -93,6 +94,8 @@ class Scene:
             near: Near plane of all cameras, world units.
             corrections: "on" brings photos to one exposure before training (COLMAP scenes), "auto" where that is
                 worth it and the training has a folder, "off" never.
+            depth: Whether depth maps train shapes, where the scene has them: "on", "off", or "auto" for where
+                the method is ours.
             background: Behind transparent photos: "black" or "white".
             seed: Of the random points that a scene without points starts from.
 
@@ -108,6 +111,7 @@ class Scene:
             "near": near,
             "mask": mask,
             "corrections": corrections,
+            "depth": depth,
             "hold_out": _hold_out(hold_out),
         }
         named = {name: value for name, value in dataset.items() if value is not None}

@@ -128,6 +128,9 @@ fn all_figures(metrics: &Metrics) -> Markup {
             (duration(seconds.total)) " in all."
             @if let Some(bytes) = metrics.peak_memory_bytes { " At most " (memory(bytes)) " of memory." }
         }
+        @if let Some(off) = metrics.test_depth_error {
+            p.dim { "Depths of test photos are off by " (number(Some(100.0 * off), 1, " %")) "." }
+        }
         @if !metrics.test.views.is_empty() {
             details { summary { "Every test photo" } (every_photo(&metrics.test.views)) }
         }

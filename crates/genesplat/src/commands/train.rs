@@ -273,7 +273,11 @@ fn print_test(metrics: &Metrics) -> Result<()> {
     let line = output::scores_line("test", &metrics.test);
     let figures = metrics.exposure.as_ref();
     let others = figures.map(|figures| [figures.test_psnr_at_track_exposure, figures.test_cc_psnr]);
-    output::print(&output::with_exposure(line, others))
+    output::print(&output::with_exposure(line, others))?;
+    match metrics.test_depth_error {
+        Some(off) => output::print(&format!("depths of test photos are off by {:.1} %", 100.0 * off)),
+        None => Ok(()),
+    }
 }
 
 fn print_size(metrics: &Metrics, folder: &Path) -> Result<()> {

@@ -18,7 +18,10 @@ const QUICK: u32 = 7000;
 
 pub(crate) fn inspect_scene(dataset: &Dataset, config: &TrainConfig) -> Result<Report> {
     let settings = config.clone().resolve()?;
-    let scene = scene::load_to_inspect(dataset, settings.config().seed)?;
+    let with_depth = dataset.depth.serves(config.method.name);
+    let scene = scene::load_to_inspect(dataset, with_depth, settings.config().seed)?;
+    let has_depth = scene.train.iter().any(|view| view.depth.is_some());
+    let settings = if has_depth { settings.with_depth() } else { settings };
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
     let seen = points_seen(&views, &scene.points);
     let list = list_scene(&dataset.path, &dataset.options())?;

@@ -8,6 +8,7 @@ mod cameras;
 mod clean;
 mod convert;
 mod corrections;
+mod depth;
 mod determinism;
 mod disk;
 mod foreign_folders;
