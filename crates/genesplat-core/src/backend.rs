@@ -171,9 +171,6 @@ pub struct TrainStep {
     pub settings: RenderSettings,
     /// Weight of a step that shows inverse depth.
     pub depth_weight: f32,
-    /// The gradient is of differences that count by their square below so many of 255 levels, and by their
-    /// amount above (Huber 1964); 0 for L1.
-    pub huber_delta: u32,
     /// The optimiser step; `None` computes gradients for the statistics only, or for a later step.
     pub update: Option<Update>,
     /// Where there is no update: add the gradients to [`Moments::pending`](crate::Moments::pending), all of

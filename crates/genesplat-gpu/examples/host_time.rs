@@ -66,7 +66,6 @@ fn step(number: u32, view: usize) -> TrainStep {
     TrainStep {
         view,
         settings: RenderSettings::default(),
-        huber_delta: 0,
         update: Some(Update { rates, step: number, opacity_step: number, mcmc: None }),
         keeps_gradients: false,
         depth_weight: 0.0,

@@ -32,7 +32,7 @@ pub use adam::{Moments64, adam};
 pub use blending_weights::blending_weights;
 pub use cloud::Cloud64;
 pub use cutoff::Cutoff;
-pub use loss::{depth_loss, huber_loss, loss, loss_of_view};
+pub use loss::{depth_loss, loss, loss_of_view};
 pub use project::{Splat, Symmetric2};
 pub use rasterise::Picture64;
 pub use statistics::Statistics64;

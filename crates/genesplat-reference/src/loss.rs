@@ -13,13 +13,8 @@ use crate::planes;
 
 /// Loss of an image `[3, H, W]` against its photo, and its gradient. The subgradient of `|x|` at 0 is 0.
 pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
-    huber_loss(image, photo, 0)
-}
-
-/// The same where differences below so many of 255 levels count by their square (Huber 1964).
-pub fn huber_loss(image: &[f64], photo: &Photo, huber_delta: u32) -> (f64, Vec<f64>) {
     let target = planes(photo);
-    let (l1, l1_gradient) = huber(image, &target, f64::from(huber_delta) / 255.0);
+    let (l1, l1_gradient) = l1(image, &target);
     let (ssim, ssim_gradient) = ssim(image, &target, [photo.width, photo.height]);
     let lambda = f64::from(LAMBDA_DSSIM);
     let gradient =
@@ -62,19 +57,13 @@ pub(crate) fn hidden(planes: &[f64], mask: &Mask) -> Vec<f64> {
     planes.iter().zip(counts).map(|(&value, &counts)| if counts { value } else { 0.0 }).collect()
 }
 
-/// Mean of Huber's function of the differences, whose slope is 1 from `delta` on, and its gradient. With
-/// `delta` 0 that is the mean absolute difference.
-pub fn huber(image: &[f64], target: &[f64], delta: f64) -> (f64, Vec<f64>) {
+/// Mean absolute difference, and its gradient.
+pub fn l1(image: &[f64], target: &[f64]) -> (f64, Vec<f64>) {
     assert_eq!(image.len(), target.len(), "image and target differ in size");
     let scale = 1.0 / image.len() as f64;
     let differences = || image.iter().zip(target).map(|(a, b)| a - b);
-    let value = |d: f64| if d.abs() < delta { d * d / (2.0 * delta) } else { d.abs() - delta / 2.0 };
-    let slope = |d: f64| match d.abs() < delta {
-        true => d / delta,
-        false if d == 0.0 => 0.0,
-        false => d.signum(),
-    };
-    (differences().map(value).sum::<f64>() * scale, differences().map(|d| slope(d) * scale).collect())
+    let slope = |d: f64| if d == 0.0 { 0.0 } else { d.signum() };
+    (differences().map(f64::abs).sum::<f64>() * scale, differences().map(|d| slope(d) * scale).collect())
 }
 
 /// Mean SSIM of `image` and `target`, both `[3, H, W]`, and its gradient by `image`.

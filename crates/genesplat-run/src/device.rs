@@ -203,7 +203,6 @@ pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainSt
     TrainStep {
         view,
         settings,
-        huber_delta: 0,
         update: Some(Update { rates, step, opacity_step: step, mcmc: None }),
         keeps_gradients: false,
         depth_weight: 0.0,

@@ -172,7 +172,6 @@ impl Trainer<'_> {
             view: self.run.views.len() + view,
             settings: self.settings(i).of_inverse_depth(nearest),
             depth_weight: scale * self.run.schedule.depth_weight(i),
-            huber_delta: 0,
             update: None,
             keeps_gradients: true,
             statistics: StatisticsRequest::default(),

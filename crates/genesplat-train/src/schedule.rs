@@ -146,10 +146,6 @@ impl Schedule {
                 "few looks at each photo: other rates but rotations' are {others} times as high"
             ));
         }
-        let levels = method.huber_delta;
-        if levels > 0 {
-            lines.push(format!("differences below {levels} of 255 levels count by their square"));
-        }
         lines
     }
 

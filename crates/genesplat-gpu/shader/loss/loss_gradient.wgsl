@@ -13,15 +13,6 @@
 // Of those that this dispatch has.
 @group(0) @binding(7) var<uniform> first_tile_row: u32;
 
-// Differences count by their square below so many levels of 255; 0 for L1.
-override HUBER_DELTA: u32 = 0u;
-
-// By the difference of a value; the subgradient of |x| at 0 is 0.
-fn l1_slope(difference: f32) -> f32 {
-    let rise = 255.0 / f32(max(HUBER_DELTA, 1u));
-    return select(clamp(difference * rise, -1.0, 1.0), sign(difference), HUBER_DELTA == 0u);
-}
-
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let tile = group + vec3(0u, first_tile_row, 0u);
@@ -76,7 +67,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let y = photo_value(photo[index], channel);
         let values = f32(3u * pixels);
         let structure = by.x + 2.0 * x * by.y + y * by.z;
-        let total = ((1.0 - LAMBDA_DSSIM) * l1_slope(x - y) - LAMBDA_DSSIM * structure) / values;
+        // The subgradient of |x| at 0 is 0.
+        let total = ((1.0 - LAMBDA_DSSIM) * sign(x - y) - LAMBDA_DSSIM * structure) / values;
         gradient[channel * pixels + index] = select(0.0, total, counts(photo[index]));
     }
 }

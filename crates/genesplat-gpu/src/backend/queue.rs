@@ -44,7 +44,7 @@ impl GpuBackend {
         self.submit_view(&pass, optimiser.as_ref(), needs, Held::Cloud, |gpu, recorder| {
             let Self { state, lists, pixels, .. } = gpu;
             let photo = &gpu.views[step.view].photo;
-            pixels.record_loss(recorder, lists, photo, &pass, step.huber_delta);
+            pixels.record_loss(recorder, lists, photo, &pass);
             pixels.record_backward(recorder, lists, &pass, needs);
             let optimiser = optimiser.as_ref();
             Optimise { state, lists, pixels, optimiser, step }.record(recorder);

@@ -94,15 +94,13 @@ impl Pixels {
         lists.run_tiles(recorder, view, needs.of(tiles::RASTERISE), &parts);
     }
 
-    /// Stage `loss` against `photo`, or the codes of depths that it holds; leaves the gradient of the loss that
-    /// has `huber_delta`, too.
+    /// Stage `loss` against `photo`, or the codes of depths that it holds; leaves the gradient, too.
     pub(crate) fn record_loss(
         &self,
         recorder: &mut Recorder,
         lists: &Lists,
         photo: &Memory,
         view: &ViewPass,
-        huber_delta: u32,
     ) {
         recorder.stage("loss");
         if view.is_of_depth() {
@@ -114,8 +112,7 @@ impl Pixels {
         self.record_loss_sum(recorder, lists);
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.gradient];
-        let overrides = &[("HUBER_DELTA", huber_delta)];
-        let kernel = TileKernel { layers: 3, overrides, ..TileKernel::new(&shaders::LOSS_GRADIENT) };
+        let kernel = TileKernel { layers: 3, ..TileKernel::new(&shaders::LOSS_GRADIENT) };
         lists.run_tiles(recorder, view, kernel, &parts);
     }
 

@@ -10,10 +10,9 @@ use crate::layout::{INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE, ViewPass};
 
 const GRADIENT: usize = INTERSECTION_GRADIENT_FLOATS as usize;
 
-/// A step that moves nothing. Odd degrees have Huber's slope in the loss.
+/// A step that moves nothing.
 fn looking(settings: &RenderSettings) -> TrainStep {
-    let huber_delta = 13 * u32::from(settings.sh_degree % 2);
-    TrainStep { update: None, huber_delta, ..step(1, *settings) }
+    TrainStep { update: None, ..step(1, *settings) }
 }
 
 /// The buffers of a view on the CPU, forward and backward, and its loss.

@@ -64,8 +64,6 @@ impl TrainConfig {
         check("iterations", self.iterations, self.iterations > 0 && scaled <= ITERATIONS_MAX, wanted)?;
         let views = self.views_per_step;
         check("views_per_step", views, (1..=1000).contains(&views), "between 1 and 1000")?;
-        let delta = self.method.huber_delta;
-        check("method.huber_delta", delta, delta <= 255, "between 0 and 255")?;
         let counts = [
             ("method.densify_every", self.method.densify_every),
             ("method.reset_every", self.method.reset_every),

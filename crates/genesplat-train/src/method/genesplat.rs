@@ -78,7 +78,6 @@ impl Method for Genesplat {
             "opacity_rate",
             "scale_rate",
             "rotation_rate",
-            "huber_delta",
             "gradient_threshold",
             "capacity",
             "gradual_growth",

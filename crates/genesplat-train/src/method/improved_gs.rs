@@ -75,7 +75,6 @@ impl Method for ImprovedGs {
             "opacity_rate",
             "scale_rate",
             "rotation_rate",
-            "huber_delta",
             "densify_until",
             "densify_every",
             "gradient_threshold",

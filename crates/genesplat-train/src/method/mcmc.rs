@@ -59,7 +59,6 @@ impl Method for Mcmc {
             "opacity_rate",
             "scale_rate",
             "rotation_rate",
-            "huber_delta",
             "densify_until",
             "densify_every",
             "growth",

@@ -59,9 +59,6 @@ settings! {
     scale_rate: f32,
     /// Rate of the quaternions; not negative.
     rotation_rate: f32,
-    /// Differences from the photo count by their square below so many of 255 levels, and by their amount
-    /// above (Huber); 0 for L1.
-    huber_delta: u32,
     /// Densification and opacity resets end before this iteration; 0 switches both off.
     densify_until: u32,
     /// Iterations between two densifications; at least 1.

@@ -28,14 +28,13 @@ pub(super) const PRUNE_OPACITY: f32 = 0.005;
 pub(super) const RESET_OPACITY: f32 = 0.01;
 
 /// What the methods that are built on 3DGS can be told, too.
-pub(super) const SETTINGS: [&str; 14] = [
+pub(super) const SETTINGS: [&str; 13] = [
     "position_rate_start",
     "position_rate_end",
     "feature_rate",
     "opacity_rate",
     "scale_rate",
     "rotation_rate",
-    "huber_delta",
     "densify_until",
     "densify_every",
     "gradient_threshold",
@@ -57,7 +56,6 @@ impl Method for ThreeDgs {
             opacity_rate: 0.05,
             scale_rate: 5e-3,
             rotation_rate: 1e-3,
-            huber_delta: 0,
             densify_until: 15_000,
             densify_every: 100,
             gradient_threshold: 2e-4,

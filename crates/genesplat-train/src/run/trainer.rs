@@ -353,9 +353,7 @@ impl<'a> Trainer<'a> {
         };
         let settings = RenderSettings { background, ..self.settings(i) };
         let (update, keeps_gradients) = (self.update(i, step), step == OptimiserStep::Later);
-        let huber_delta = self.run.config().method.huber_delta;
-        let made =
-            TrainStep { view, settings, depth_weight: 0.0, huber_delta, update, keeps_gradients, statistics };
+        let made = TrainStep { view, settings, depth_weight: 0.0, update, keeps_gradients, statistics };
         self.backend.train_step(&made)?;
         self.place.progress.count(step);
         Ok(())

@@ -54,7 +54,6 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
     let step = TrainStep {
         view: 0,
         settings,
-        huber_delta: 0,
         update: None,
         keeps_gradients: false,
         depth_weight: 0.0,

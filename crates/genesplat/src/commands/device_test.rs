@@ -150,15 +150,7 @@ fn losses(device: &mut Device, _: &Scene) -> Result<Vec<f32>, BackendError> {
 /// A step that changes nothing, and keeps its gradients.
 fn looking(view: usize) -> TrainStep {
     let statistics = StatisticsRequest { density: Some(DensitySignal::Absolute), genes: true };
-    TrainStep {
-        view,
-        settings: SETTINGS,
-        depth_weight: 0.0,
-        huber_delta: 13,
-        update: None,
-        keeps_gradients: true,
-        statistics,
-    }
+    TrainStep { view, settings: SETTINGS, depth_weight: 0.0, update: None, keeps_gradients: true, statistics }
 }
 
 fn gradients(device: &mut Device, _: &Scene) -> Result<Vec<f32>, BackendError> {

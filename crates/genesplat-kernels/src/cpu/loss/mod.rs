@@ -9,9 +9,6 @@
 //! variances only enter as their sum, so `E[x² + y²]` is one moment. The gradient of S is, as the window is
 //! symmetric, `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`.
 //!
-//! A method may have the gradient of Huber's function in the place of L1's ([`Wanted::huber_delta`]); the
-//! loss that is told is of L1.
-//!
 //! A picture of inverse depth has another loss ([`depth`]).
 //!
 //! Under a mask, render and photo are made equal before the loss, and the gradient zero after it
@@ -141,8 +138,6 @@ impl From<&View> for Target {
 pub struct Wanted<'a> {
     /// Where it goes `[3, H, W]`; what was there is overwritten.
     pub gradient: &'a mut Vec<f32>,
-    /// As [`TrainStep`] has it.
-    pub huber_delta: u32,
     /// The picture is of inverse depth, and the photo holds codes: the weight of the step.
     pub depth_weight: Option<f32>,
 }
@@ -154,7 +149,7 @@ impl<'a> Wanted<'a> {
             Channels::Rgb => None,
             Channels::InverseDepth { .. } => Some(step.depth_weight),
         };
-        Self { gradient, huber_delta: step.huber_delta, depth_weight }
+        Self { gradient, depth_weight }
     }
 }
 
@@ -189,7 +184,7 @@ pub fn loss_of_rows(
         return depth::loss_of_rows((image, first), photo, rows, weight, gradient, sums);
     }
     let strips = rows.len().div_ceil(STRIP);
-    let slope = L1Slope::new(gradient.as_ref().map_or(0, |wanted| wanted.huber_delta), 3 * width * height);
+    let slope = L1Slope::new(3 * width * height);
     let task = |index: usize, sums: &mut [[f64; 2]], out: Option<&mut [f32]>| {
         let channel = index / strips;
         let picture = Channel {
@@ -320,23 +315,16 @@ struct L1Slope {
     /// Of each value.
     l1: f32,
     ssim: f32,
-    /// Rise of `l1` for each unit of a difference, up to its weight; 0 for a step.
-    rise: f32,
 }
 
 impl L1Slope {
-    fn new(huber_delta: u32, values: usize) -> Self {
-        let l1 = (1.0 - LAMBDA_DSSIM) / values as f32;
-        let rise = if huber_delta == 0 { 0.0 } else { l1 * 255.0 / huber_delta as f32 };
-        Self { l1, ssim: -LAMBDA_DSSIM / values as f32, rise }
+    fn new(values: usize) -> Self {
+        Self { l1: (1.0 - LAMBDA_DSSIM) / values as f32, ssim: -LAMBDA_DSSIM / values as f32 }
     }
 
     #[inline(always)]
     fn at<S: Simd>(self, simd: S, difference: V<S>) -> V<S> {
         let (most, least) = (V::splat(simd, self.l1), V::splat(simd, -self.l1));
-        if self.rise > 0.0 {
-            return (difference * self.rise).min(most).max(least);
-        }
         // The subgradient of |x| at 0 is 0.
         let negative = difference.simd_lt(0.0).select(least, V::splat(simd, 0.0));
         difference.simd_gt(0.0).select(most, negative)

@@ -168,7 +168,6 @@ fn statistics(
     let step = TrainStep {
         view: 0,
         settings: *settings,
-        huber_delta: 0,
         update: None,
         keeps_gradients: false,
         depth_weight: 0.0,
