@@ -5,8 +5,8 @@ use std::sync::{Arc, OnceLock};
 use std::thread;
 
 use genesplat_core::device::copy_of;
-use genesplat_core::{BackendError, Device, Gaussians, Mask, Upload, View};
-use genesplat_gallery::{GalleryOptions, generate};
+use genesplat_core::{BackendError, DepthMap, Device, Gaussians, Mask, Upload, View};
+use genesplat_gallery::{GalleryOptions, depths, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
@@ -19,13 +19,12 @@ use crate::{ClusterBackend, Group, Threads};
 /// Enough rows for four shares of whole pieces, and enough rows of tiles for four bands.
 fn scene() -> &'static Scene {
     static SCENE: OnceLock<Scene> = OnceLock::new();
-    SCENE.get_or_init(|| {
-        let options = GalleryOptions { width: 60, height: 90, views: 10, points: 1300, seed: 3 };
-        generate(&options).into_scene(HoldOut::EveryEighth)
-    })
+    SCENE.get_or_init(|| generate(&OPTIONS).into_scene(HoldOut::EveryEighth))
 }
 
-/// Some of the photos have a mask.
+const OPTIONS: GalleryOptions = GalleryOptions { width: 60, height: 90, views: 10, points: 1300, seed: 3 };
+
+/// Some of the photos have a mask, and some a depth map.
 fn views() -> &'static [View] {
     static VIEWS: OnceLock<Vec<View>> = OnceLock::new();
     VIEWS.get_or_init(|| {
@@ -33,6 +32,11 @@ fn views() -> &'static [View] {
         for view in views.iter_mut().step_by(3) {
             let counts = (0..60 * 90).map(|pixel| pixel % 60 < 40 || pixel / 60 > 30).collect();
             view.mask = Some(Arc::new(Mask { counts }));
+        }
+        // Photos of training are the second one and those that follow.
+        for (view, depths) in views.iter_mut().zip(depths(&OPTIONS).into_iter().skip(1)).step_by(2) {
+            let (codes, nearest) = DepthMap::encode(&depths, 60, 90).unwrap();
+            view.depth = Some(DepthMap { codes: codes.into(), nearest });
         }
         views
     })
