@@ -94,6 +94,10 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Result<Vec<u32>, BackendError>
             let sums = gpu.splats_backward(&splats, size, &by_image, &by_left)?;
             sums.iter().flat_map(|sums| bits(&[&sums.moments[..], &sums.rgb].concat())).collect()
         }
+        "loss/depth_loss" => {
+            gpu.train_step(&depth_step(1, settings))?;
+            vec![gpu.report()?.loss.to_bits()]
+        }
         "score/view_losses" => {
             let losses = gpu.measure(Held::Cloud, &[0], &settings)?;
             vec![losses[0].loss.to_bits(), losses[0].squared_error.to_bits()]
@@ -144,7 +148,7 @@ fn is_noticed(gpu: &mut GpuBackend, kernel: &'static str, at: usize, expected: &
 
 fn backend() -> Option<GpuBackend> {
     let mut gpu = GpuBackend::on(engine()?).unwrap();
-    gpu.set_views(&[small_view()]).unwrap();
+    gpu.set_views(&[small_view(), depth_view()]).unwrap();
     Some(gpu)
 }
 
