@@ -6,6 +6,9 @@ use crate::stored_photo::{PhotoLost, StoredPhoto};
 /// The largest code.
 const CODES: f32 = 65535.0;
 
+/// One pixel of so many may be nearer than the nearest depth that is told.
+const SPECKS: usize = 1000;
+
 /// Depths of the pixels of a view, as 16-bit codes of inverse depth.
 #[derive(Clone, Debug)]
 pub struct DepthMap {
@@ -20,10 +23,17 @@ impl DepthMap {
     /// The codes of depths `[H, W]` in world units; what is not positive and finite is not known. `None`
     /// where none is known.
     pub fn encode(depths: &[f32], width: u32, height: u32) -> Option<(Photo, f32)> {
-        let nearest = depths.iter().copied().filter(|&depth| is_known(depth)).reduce(f32::min)?;
+        let mut known: Vec<f32> = depths.iter().copied().filter(|&depth| is_known(depth)).collect();
+        if known.is_empty() {
+            return None;
+        }
+        // Not the least one: a speck before the lens would leave no codes for the rest.
+        let place = known.len() / SPECKS;
+        let nearest = *known.select_nth_unstable_by(place, f32::total_cmp).1;
         let bytes = |&depth: &f32| {
             // What is known is never told as what is not.
-            let code = if is_known(depth) { (CODES * nearest / depth).round().max(1.0) as u16 } else { 0 };
+            let code =
+                if is_known(depth) { (CODES * nearest / depth).round().clamp(1.0, CODES) as u16 } else { 0 };
             let [low, high] = code.to_le_bytes();
             [low, high, 0]
         };
@@ -60,5 +70,10 @@ mod tests {
             assert!((found - wanted).abs() <= 0.5 / CODES, "{found} is not {wanted}");
         }
         assert!(DepthMap::encode(&[0.0, f32::NAN], 2, 1).is_none());
+        // One speck in a thousand pixels costs the others nothing.
+        let mut wall = vec![4.0; 2000];
+        wall[7] = 1e-6;
+        let (codes, nearest) = DepthMap::encode(&wall, 50, 40).unwrap();
+        assert_eq!((nearest, inverse_of(codes.pixel(7, 0)), inverse_of(codes.pixel(8, 0))), (4.0, 1.0, 1.0));
     }
 }

@@ -87,8 +87,10 @@ fn of_numpy(bytes: &[u8]) -> Result<Depths, String> {
         return Err("its array is in Fortran's order; save it in C's order".into());
     }
     let shape = field("'shape'").and_then(|shape| shape.strip_prefix('(')?.split_once(')'));
-    let sides: Vec<u32> =
-        shape.map_or("", |(shape, _)| shape).split(',').filter_map(|side| side.trim().parse().ok()).collect();
+    let sides =
+        shape.map_or("", |(shape, _)| shape).split(',').map(str::trim).filter(|side| !side.is_empty());
+    let sides: Option<Vec<u32>> = sides.map(|side| side.parse().ok()).collect();
+    let sides = sides.ok_or("the sides of its array are no numbers")?;
     let size = match sides[..] {
         [height, width] | [height, width, 1] => [width, height],
         _ => return Err(format!("its array has {} axes, and a depth map has two", sides.len())),
@@ -159,7 +161,7 @@ mod tests {
     #[test]
     fn what_is_no_map_is_a_sentence() {
         let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }";
-        let cases: [(Vec<u8>, &str); 10] = [
+        let cases: [(Vec<u8>, &str); 11] = [
             (b"3&2&1&abc".to_vec(), "24 bytes"),
             (b"3&2&3&".to_vec(), "3 channels"),
             (b"3&2".to_vec(), "first line"),
@@ -170,6 +172,7 @@ mod tests {
             (numpy(1, &header.replace("(2, 3)", "(6,)"), &[0; 24]), "1 axes"),
             (numpy(1, &header.replace("<f4", "<i4"), &[0; 24]), "float32"),
             (numpy(9, header, &[0; 24]), "version"),
+            (numpy(1, &header.replace("(2, 3)", "(2, x, 3)"), &[0; 24]), "no numbers"),
         ];
         for (bytes, part) in cases {
             let sentence = of(&bytes).unwrap_err();

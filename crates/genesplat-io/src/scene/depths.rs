@@ -49,13 +49,11 @@ impl Judge<'_> {
     /// Positions of points that the photo of this name sees; of all points where that is not known.
     fn positions(&self, photo: &str) -> Vec<DVec3> {
         let at = |point: &Point| DVec3::from_array(point.position.map(f64::from));
-        let every = |count: usize| count.div_ceil(POINTS_MAX).max(1);
         match self.seen.get(photo) {
             Some(seen) => {
-                let seen_points = seen.iter().step_by(every(seen.len()));
-                seen_points.filter_map(|sight| self.points.get(sight.point as usize)).map(at).collect()
+                seen.iter().filter_map(|sight| self.points.get(sight.point as usize)).map(at).collect()
             }
-            None => self.points.iter().step_by(every(self.points.len())).map(at).collect(),
+            None => self.points.iter().map(at).collect(),
         }
     }
 
@@ -71,7 +69,10 @@ impl Judge<'_> {
             let depth = is_inside.then(|| depths[at[1] as usize * camera.width as usize + at[0] as usize])?;
             (depth > 0.0 && depth.is_finite()).then(|| [1.0 / f64::from(depth), 1.0 / in_camera.z])
         };
-        self.positions(photo).into_iter().filter_map(pair).collect()
+        let pairs: Vec<[f64; 2]> = self.positions(photo).into_iter().filter_map(pair).collect();
+        // Thinned now: most points of a large scene lie in other photos.
+        let every = pairs.len().div_ceil(POINTS_MAX).max(1);
+        pairs.into_iter().step_by(every).collect()
     }
 }
 
@@ -122,7 +123,9 @@ pub(super) fn load(
     match found {
         Fit::Other => return Ok((Outcome::Used(found), Some(digest))),
         Fit::Line { scale, shift } => depths.iter_mut().for_each(|depth| {
-            *depth = if *depth > 0.0 { (1.0 / (scale / f64::from(*depth) + shift)) as f32 } else { 0.0 };
+            // What is infinitely far is not known.
+            let is_known = *depth > 0.0 && depth.is_finite();
+            *depth = if is_known { (1.0 / (scale / f64::from(*depth) + shift)) as f32 } else { 0.0 };
         }),
         Fit::Same | Fit::Unknown => {}
     }
@@ -182,6 +185,12 @@ pub(super) fn notices(photos: &[&Outcome], drops_unknown: bool) -> Vec<String> {
     if drops_unknown && unknown > 0 {
         let maps = plural(unknown, "depth map is", "depth maps are");
         notices.push(format!("{unknown} {maps} left out: too few points tell their unit"));
+    }
+    if !drops_unknown && unknown > 0 {
+        let maps = plural(unknown, "depth map is", "depth maps are");
+        notices.push(format!(
+            "{unknown} {maps} taken as told: too few points say whether the unit is the scene's"
+        ));
     }
     let cut = count(&|outcome| matches!(outcome, Outcome::Cut));
     if cut > 0 {

@@ -7,7 +7,7 @@ use super::schema::{OptionalIntrinsics, PhotoEntry};
 use super::{ENDS, Found, camera, with_end};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedDepth, ListedPhoto, Purpose, Wanted, absent_notice, damaged_notice, inside, lost_poses,
+    ListedDepth, ListedPhoto, Purpose, Wanted, absent_notice, base_name, damaged_notice, inside, lost_poses,
     path_inside, similar_notice,
 };
 use crate::photos::PhotoError;
@@ -79,7 +79,7 @@ impl<'a> Reading<'a> {
         let mask = entry.mask_path.as_deref().filter(|_| self.wanted.masks);
         let mask = mask.map(|name| self.find_mask(name)).transpose()?;
         let depth = entry.depth_file_path.as_deref().filter(|_| self.wanted.depth);
-        let depth = depth.map(|name| self.depth(name)).transpose()?;
+        let depth = depth.map(|name| self.depth(name));
         let list = self.shared.clone();
         let (seen, moment) = (Vec::new(), None);
         self.photos.push(ListedPhoto { name, path, list, camera, lens, purpose, mask, depth, seen, moment });
@@ -105,14 +105,13 @@ impl<'a> Reading<'a> {
         })
     }
 
-    /// The depth map that a photo's entry names, whether it is there or not.
-    fn depth(&self, name: &str) -> Result<ListedDepth, SceneError> {
-        let relative = path_inside(name).ok_or_else(|| {
-            let problem =
-                "which is no path inside the scene's folder; correct it, or go on without by --depth off";
-            SceneError::invalid(self.list, format!("names the depth map {name:?}, {problem}"))
-        })?;
-        Ok(ListedDepth { path: self.folder.join(relative), unit: self.depth_unit })
+    /// The depth map that a photo's entry names, whether it is there or not. One outside of the scene's folder
+    /// is not there.
+    fn depth(&self, name: &str) -> ListedDepth {
+        let relative =
+            path_inside(name).or_else(|| Some(Path::new("depths").join(path_inside(base_name(name))?)));
+        let relative = relative.unwrap_or_else(|| "depths".into());
+        ListedDepth { path: self.folder.join(relative), unit: self.depth_unit }
     }
 
     /// What was found, with the cloud of `points` that the file names.

@@ -233,8 +233,11 @@ fn maps_are_brought_to_the_unit_of_the_points() {
             Point { position: [at[0] - 0.5, at[1] - 1.0 / 3.0, at[2]], rgb: [9; 3] }
         })
         .collect();
+    // Most points of a large scene lie elsewhere.
+    model.points.extend((0..100_000).map(|index| Point { position: [index as f32, 0.0, -5.0], rgb: [9; 3] }));
     write_scene(folder.path(), Form::Binary, &model);
-    let in_feet = |x: usize, _: usize| 3.28 * depth(x);
+    // Nothing is known of what is infinitely far.
+    let in_feet = |x: usize, y: usize| if y == 5 { f32::INFINITY } else { 3.28 * depth(x) };
     for index in 0..2 {
         write_dense(folder.path(), &format!("a b/{index:03}.png"), "geometric", [WIDTH, 30], in_feet);
     }
@@ -245,11 +248,28 @@ fn maps_are_brought_to_the_unit_of_the_points() {
     let views = views(&scene);
     let off = |view: &View| {
         let found = depths(view);
-        found.iter().zip(&wanted).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max)
+        assert!(found[5 * WIDTH..6 * WIDTH].iter().all(|&depth| depth == 0.0));
+        let known = found.iter().zip(&wanted).filter(|(depth, _)| **depth > 0.0);
+        known.map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max)
     };
     assert!(off(views[0]) < 0.01 && off(views[1]) < 0.01, "{} {}", off(views[0]), off(views[1]));
     assert!(views[2].depth.is_none());
     let told = scene.notices.join("\n");
     assert!(told.contains("2 depth maps are brought to the scene's unit by its points"), "{told}");
     assert!(told.contains("1 depth map is left out: the scene's points are elsewhere"), "{told}");
+}
+
+#[test]
+fn a_list_that_names_maps_elsewhere_is_read_without_them() {
+    for name in ["../maps/0.npy", "/maps/0.npy", "", "..", "depths/gone.npy"] {
+        let folder = tempfile::tempdir().unwrap();
+        nerfstudio(folder.path(), |_| json!({"depth_file_path": name}), &json!({}));
+        fs::create_dir_all(folder.path().join("depths")).unwrap();
+        let scene = load(folder.path());
+        assert!(views(&scene).iter().all(|view| view.depth.is_none()), "{name}");
+        assert!(
+            scene.notices.iter().any(|notice| notice.starts_with("3 depth maps cannot be used")),
+            "{name}"
+        );
+    }
 }
