@@ -46,7 +46,8 @@ impl DepthMap {
     }
 }
 
-fn is_known(depth: f32) -> bool {
+/// Whether a depth is one: neither absent nor infinite.
+pub fn is_known(depth: f32) -> bool {
     depth.is_finite() && depth > 0.0
 }
 

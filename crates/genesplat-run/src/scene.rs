@@ -35,7 +35,7 @@ pub fn load(
     spill: Option<Spill>,
     offset: Option<Offset>,
 ) -> Result<Scene> {
-    let with_tracks = with_depth || dataset.corrections != Corrections::Off;
+    let with_tracks = dataset.corrections != Corrections::Off;
     let options = LoadOptions { seed, spill, offset, with_tracks, with_depth, ..dataset.options() };
     told(read(&dataset.path, background, options))
 }
@@ -58,7 +58,7 @@ pub fn far_points(scene: &Scene, train: &TrainConfig) -> Result<Vec<Point>> {
 
 /// The same to inspect: notices are the caller's to tell.
 pub fn load_to_inspect(dataset: &Dataset, with_depth: bool, seed: u64) -> Result<Scene> {
-    let options = LoadOptions { seed, with_tracks: with_depth, with_depth, ..dataset.options() };
+    let options = LoadOptions { seed, with_depth, ..dataset.options() };
     read(&dataset.path, [0.0; 3], options)
 }
 

@@ -292,7 +292,7 @@ pub struct Timeline {
 impl Timeline {
     /// The same in a scene with depth maps.
     pub(crate) fn with_depth(mut self) -> Self {
-        self.events.push((Event::LookAtDepth, When::multiples(DEPTH_EVERY, DEPTH_EVERY, self.iterations)));
+        self.add(Event::LookAtDepth, When::multiples(DEPTH_EVERY, DEPTH_EVERY, self.iterations));
         self
     }
 

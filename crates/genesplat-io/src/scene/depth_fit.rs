@@ -3,6 +3,8 @@
 //! Networks tell inverse depth up to a scale and a shift of their own; a phone tells metres, whatever the
 //! reconstruction's unit is. Both are a line through what points and map say at the same pixels.
 
+use genesplat_core::median;
+
 /// So many points must lie in a photo for its map to be judged.
 const PAIRS_MIN: usize = 30;
 
@@ -42,9 +44,9 @@ pub(super) fn fit(pairs: &[[f64; 2]]) -> Fit {
     let line = line(pairs).filter(|&(scale, shift)| median_off(pairs, scale, shift) < (1.0 - BETTER) * same);
     let (scale, shift) = line.unwrap_or((1.0, 0.0));
     let agree = pairs.iter().filter(|[map, point]| ((scale * map + shift) / point - 1.0).abs() < NEAR);
-    let middle = median(pairs.iter().map(|[_, point]| *point).collect());
-    let spread = median_off(pairs, 0.0, middle);
-    let tells_nothing = spread > SPREAD * middle && median_off(pairs, scale, shift) > (1.0 - BETTER) * spread;
+    let usual = middle(pairs.iter().map(|[_, point]| *point));
+    let spread = median_off(pairs, 0.0, usual);
+    let tells_nothing = spread > SPREAD * usual && median_off(pairs, scale, shift) > (1.0 - BETTER) * spread;
     if tells_nothing || (agree.count() as f64) < AGREED * pairs.len() as f64 {
         return Fit::Other;
     }
@@ -52,18 +54,18 @@ pub(super) fn fit(pairs: &[[f64; 2]]) -> Fit {
 }
 
 fn median_off(pairs: &[[f64; 2]], scale: f64, shift: f64) -> f64 {
-    median(pairs.iter().map(|[map, point]| (scale * map + shift - point).abs()).collect())
+    middle(pairs.iter().map(|[map, point]| (scale * map + shift - point).abs()))
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+/// Of what at least one pair has.
+fn middle(values: impl Iterator<Item = f64>) -> f64 {
+    median(values).expect("there are pairs")
 }
 
 /// Scale and shift of the least sum of absolute differences; `None` where none rises.
 fn line(pairs: &[[f64; 2]]) -> Option<(f64, f64)> {
-    let (mut scale, mut shift) = (median(pairs.iter().map(|[map, point]| point / map).collect()), 0.0);
-    let least = 1e-6 * median(pairs.iter().map(|[_, point]| *point).collect());
+    let (mut scale, mut shift) = (middle(pairs.iter().map(|[map, point]| point / map)), 0.0);
+    let least = 1e-6 * middle(pairs.iter().map(|[_, point]| *point));
     for _ in 0..ROUNDS {
         let [mut one, mut x, mut y, mut xx, mut xy] = [0.0; 5];
         for [map, point] in pairs {

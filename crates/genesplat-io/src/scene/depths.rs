@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use genesplat_core::depth_map::is_known;
 use genesplat_core::{DepthMap, View};
 use glam::DVec3;
 
@@ -20,7 +21,7 @@ use crate::{input, plural, shown};
 const POINTS_MAX: usize = 5000;
 
 /// Where COLMAP's dense reconstruction has its maps: the one kind after the other.
-const DENSE: &str = "stereo/depth_maps";
+pub(super) const DENSE: &str = "stereo/depth_maps";
 const KINDS: [&str; 2] = ["geometric", "photometric"];
 
 /// Gives each photo without a depth map that of COLMAP's dense reconstruction in `scene`, if it is there.
@@ -46,30 +47,27 @@ pub(super) struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// Positions of points that the photo of this name sees; of all points where that is not known.
-    fn positions(&self, photo: &str) -> Vec<DVec3> {
-        let at = |point: &Point| DVec3::from_array(point.position.map(f64::from));
+    /// The points that the photo of this name sees; all points where that is not known.
+    fn points_of(&self, photo: &str) -> Box<dyn Iterator<Item = &Point> + '_> {
         match self.seen.get(photo) {
-            Some(seen) => {
-                seen.iter().filter_map(|sight| self.points.get(sight.point as usize)).map(at).collect()
-            }
-            None => self.points.iter().map(at).collect(),
+            Some(seen) => Box::new(seen.iter().filter_map(|sight| self.points.get(sight.point as usize))),
+            None => Box::new(self.points.iter()),
         }
     }
 
     /// Inverse depths of a map at the pixels of `view`, and of the points there.
     fn pairs(&self, photo: &str, view: &View, depths: &[f32]) -> Vec<[f64; 2]> {
         let camera = &view.camera;
-        let pair = |position: DVec3| {
-            let in_camera = camera.camera_from_world(position);
+        let pair = |point: &Point| {
+            let in_camera = camera.camera_from_world(DVec3::from_array(point.position.map(f64::from)));
             let at = camera.pixel_from_camera(in_camera).map(|at| at.round());
             let is_inside = in_camera.z > camera.near
                 && (0.0..f64::from(camera.width)).contains(&at[0])
                 && (0.0..f64::from(camera.height)).contains(&at[1]);
             let depth = is_inside.then(|| depths[at[1] as usize * camera.width as usize + at[0] as usize])?;
-            (depth > 0.0 && depth.is_finite()).then(|| [1.0 / f64::from(depth), 1.0 / in_camera.z])
+            is_known(depth).then(|| [1.0 / f64::from(depth), 1.0 / in_camera.z])
         };
-        let pairs: Vec<[f64; 2]> = self.positions(photo).into_iter().filter_map(pair).collect();
+        let pairs: Vec<[f64; 2]> = self.points_of(photo).filter_map(pair).collect();
         // Thinned now: most points of a large scene lie in other photos.
         let every = pairs.len().div_ceil(POINTS_MAX).max(1);
         pairs.into_iter().step_by(every).collect()
@@ -122,11 +120,12 @@ pub(super) fn load(
     let found = fit(&judge.pairs(&listed.name, view, &depths));
     match found {
         Fit::Other => return Ok((Outcome::Used(found), Some(digest))),
-        Fit::Line { scale, shift } => depths.iter_mut().for_each(|depth| {
-            // What is infinitely far is not known.
-            let is_known = *depth > 0.0 && depth.is_finite();
-            *depth = if is_known { (1.0 / (scale / f64::from(*depth) + shift)) as f32 } else { 0.0 };
-        }),
+        Fit::Line { scale, shift } => {
+            // What is infinitely far is not known, and stays so.
+            for depth in depths.iter_mut().filter(|depth| is_known(**depth)) {
+                *depth = (1.0 / (scale / f64::from(*depth) + shift)) as f32;
+            }
+        }
         Fit::Same | Fit::Unknown => {}
     }
     if let Some(mask) = &view.mask {

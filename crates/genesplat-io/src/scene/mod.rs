@@ -435,7 +435,9 @@ fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<
 fn wanted(scene: &Path, options: &LoadOptions) -> Result<Wanted, SceneError> {
     let already = offset::of_scene(scene)?;
     let frame = Frame { asked: options.offset, already };
-    let tracks = options.with_points && options.with_tracks;
+    // COLMAP's own maps are judged by the points that each photo sees.
+    let has_dense = options.with_depth && scene.join(depths::DENSE).is_dir();
+    let tracks = options.with_points && (options.with_tracks || has_dense);
     let (points, masks, depth) = (options.with_points, options.mask != MaskUse::Off, options.with_depth);
     Ok(Wanted { points, tracks, masks, depth, frame })
 }
