@@ -30,6 +30,9 @@ impl Depths {
         if bytes.first().is_some_and(u8::is_ascii_digit) {
             return of_colmap(&bytes).map_err(undecodable);
         }
+        if !bytes.starts_with(b"\x89PNG") {
+            return Err(undecodable("it is neither a PNG of 16 bits nor .npy nor a map of COLMAP".into()));
+        }
         of_picture(EncodedPhoto::of(path, bytes)?.decode()?).map_err(undecodable)
     }
 
@@ -179,7 +182,8 @@ mod tests {
             assert!(sentence.contains(part), "{sentence}");
         }
         assert!(of(b"\x93NUMPY\x01\x00\xff\xff{").unwrap_err().contains("cut off"));
-        assert!(of(b"").is_err() && of(b"hello").is_err());
+        assert!(of(b"").is_err() && of(b"\x89PNG").is_err());
+        assert!(of(b"hello").unwrap_err().contains("nor a map of COLMAP"));
     }
 
     #[test]
