@@ -28,13 +28,14 @@ mod visited;
 pub use digest::Digest;
 pub use error::SceneError;
 pub use format::{Format, FormatError};
+pub use listing::ListedDepth;
 pub use offset::Offset;
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
     Doubt, HoldOut, LoadOptions, LoadProgress, MaskUse, Masks, PhotoDigests, Point, SIDE_MIN_PX, Scene,
-    SceneDigests, SceneList, ScenePhoto, Sight, Spill, blocks, list_scene, load_points, load_scene,
-    mask_beside, model_of, replace_photos, scene_digests,
+    SceneDigests, SceneList, ScenePhoto, Sight, Spill, blocks, dense_name, list_scene, load_points,
+    load_scene, mask_beside, model_of, replace_photos, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, convert, ending, is_transforms};

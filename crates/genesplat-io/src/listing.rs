@@ -96,10 +96,11 @@ pub(crate) struct ListedPhoto {
 
 /// A depth map that is not decoded yet, and may not exist.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct ListedDepth {
-    pub(crate) path: PathBuf,
+pub struct ListedDepth {
+    /// Its file.
+    pub path: PathBuf,
     /// What its values are multiplied by, world units.
-    pub(crate) unit: f64,
+    pub unit: f64,
 }
 
 /// What a scene may say that a photo is for.

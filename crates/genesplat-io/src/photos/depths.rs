@@ -46,6 +46,13 @@ impl Depths {
         let at = place(u, 0).zip(place(v, 1)).map(|(x, y)| y * self.size[0] as usize + x);
         at.map_or(0.0, |at| self.values[at])
     }
+
+    /// A file as [`of_colmap`] reads it.
+    pub(crate) fn to_dense(&self) -> Vec<u8> {
+        let [width, height] = self.size;
+        let values = self.values.iter().flat_map(|value| value.to_le_bytes());
+        format!("{width}&{height}&1&").into_bytes().into_iter().chain(values).collect()
+    }
 }
 
 fn of_picture(picture: DynamicImage) -> Result<Depths, String> {

@@ -40,6 +40,28 @@ pub(super) fn find(listing: &mut Listing, scene: &Path) {
     }
 }
 
+/// Where COLMAP's dense reconstruction would have the map of the photo of this name.
+pub fn dense_name(photo: &str) -> PathBuf {
+    Path::new(DENSE).join(format!("{photo}.{}.bin", KINDS[0]))
+}
+
+impl ListedDepth {
+    /// Its file is of COLMAP's dense reconstruction, in the scene's unit.
+    pub fn is_dense(&self) -> bool {
+        self.unit == 1.0 && self.path.extension().is_some_and(|extension| extension == "bin")
+    }
+
+    /// The file of COLMAP's dense reconstruction that says the same. Fails where the map cannot be read.
+    pub fn to_dense(&self) -> Result<Vec<u8>, SceneError> {
+        let bytes =
+            input::read(&self.path).map_err(|error| SceneError::invalid(&self.path, error.to_string()))?;
+        let mut depths = Depths::of(&self.path, bytes)
+            .map_err(|error| SceneError::invalid(&self.path, error.to_string()))?;
+        depths.values.iter_mut().for_each(|depth| *depth *= self.unit as f32);
+        Ok(depths.to_dense())
+    }
+}
+
 /// What tells the unit of a map: the scene's own points, and which of them each photo sees.
 pub(super) struct Judge<'a> {
     pub(super) points: &'a [Point],

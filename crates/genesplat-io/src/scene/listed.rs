@@ -7,7 +7,7 @@ use genesplat_core::Camera;
 use super::{LoadOptions, Point, SIDE_MIN_PX, list, split};
 use crate::colmap::{ImageRecord, Intrinsics, Model};
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, part_name};
+use crate::listing::{ListedDepth, ListedPhoto, Listing, part_name};
 use crate::offset::Offset;
 use crate::photos::{Cut, Lens};
 use crate::shown;
@@ -56,6 +56,8 @@ pub struct ScenePhoto {
     pub lens: Option<Lens>,
     /// A picture that is black where the photo does not count.
     pub mask: Option<PathBuf>,
+    /// How far away what it shows is.
+    pub depth: Option<ListedDepth>,
     /// Whether it is held out.
     pub is_test: bool,
 }
@@ -105,12 +107,13 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
     let Listing { photos, points, moved, notices, doubts, .. } = list(path, options)?;
     let (train, test) = split::split(photos, &options.hold_out, path)?;
     let photo = |is_test: bool| {
-        move |ListedPhoto { name, path, camera, lens, mask, .. }: ListedPhoto| ScenePhoto {
+        move |ListedPhoto { name, path, camera, lens, mask, depth, .. }: ListedPhoto| ScenePhoto {
             name,
             path,
             camera,
             lens,
             mask,
+            depth,
             is_test,
         }
     };

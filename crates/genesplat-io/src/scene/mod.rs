@@ -26,6 +26,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::View;
 use rayon::prelude::*;
 
+pub use depths::dense_name;
 pub use digests::{PhotoDigests, SceneDigests};
 pub use doubt::Doubt;
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use genesplat_core::{DepthMap, View};
 use genesplat_io::colmap::Form;
-use genesplat_io::{LoadOptions, PhotoSize, Point, Scene, Spill, load_scene, photos};
+use genesplat_io::{LoadOptions, PhotoSize, Point, Scene, Spill, list_scene, load_scene, photos};
 use serde_json::{Value, json};
 
 use crate::common::{SIZE, matrix, tiny_model, tiny_photo, write_scene};
@@ -135,6 +135,14 @@ fn maps_that_a_list_names_are_in_its_unit() {
     fs::write(folder.path().join("transforms.json"), halved).unwrap();
     let half: Vec<f32> = all_of_slope().iter().map(|depth| 0.5 * depth).collect();
     assert!(are_close(&depths(views(&load(folder.path()))[0]), &half));
+
+    // A block of the scene has it as COLMAP would.
+    let list = list_scene(folder.path(), &options()).unwrap();
+    let map = list.photos[0].depth.as_ref().unwrap();
+    let bytes = map.to_dense().unwrap();
+    let values = bytes.strip_prefix(b"40&30&1&").unwrap().as_chunks::<4>().0;
+    let values: Vec<f32> = values.iter().map(|value| f32::from_le_bytes(*value)).collect();
+    assert!(!map.is_dense() && are_close(&values, &half));
 }
 
 #[test]

@@ -1,14 +1,16 @@
 //! From a scene to the scenes of its blocks.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::Camera;
 use genesplat::io::blocks::{Block, Grid, Members};
 use genesplat::io::colmap::write_model;
-use genesplat::io::{Offset, Point, SceneList, ScenePhoto, model_of, offset, own, plural, shown};
-use genesplat::run::files::{make_own_folder, unwritable, write_own_text};
+use genesplat::io::{
+    ListedDepth, Offset, Point, SceneList, ScenePhoto, dense_name, model_of, offset, own, plural, shown,
+};
+use genesplat::run::files::{make_own_folder, unwritable, write_own, write_own_text};
 use genesplat::run::numbers::thousands;
 use genesplat::run::output;
 use glam::DVec3;
@@ -81,6 +83,9 @@ fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
         if let Some(mask) = &photo.mask {
             place(mask, folder, &Path::new("masks").join(format!("{}.png", photo.name)))?;
         }
+        if let Some(depth) = &photo.depth {
+            place_depth(depth, folder, &photo.name)?;
+        }
     }
     let tests: Vec<&str> =
         content.photos.iter().filter(|photo| photo.is_test).map(|photo| &*photo.name).collect();
@@ -98,6 +103,22 @@ fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
     let model = make_own_folder(folder, "sparse/0")?;
     write_model(&model, &model_of(&content.photos, content.points.clone()))
         .map_err(|error| unwritable(&model, &error))
+}
+
+/// Puts a photo's depth map into the scene of a block, where COLMAP has it.
+fn place_depth(depth: &ListedDepth, folder: &Path, photo: &str) -> Result<()> {
+    let name = dense_name(photo);
+    if depth.is_dense() {
+        return place(&depth.path, folder, &name);
+    }
+    match depth.to_dense() {
+        Ok(bytes) => write_own(folder, &name, |out| out.write_all(&bytes)),
+        // As training leaves it out.
+        Err(error) => {
+            output::tell(&format!("notice: {error}; block {} goes without it", shown(folder)));
+            Ok(())
+        }
+    }
 }
 
 /// Puts a photo or a mask into the scene of a block, unless it is there since the last time.

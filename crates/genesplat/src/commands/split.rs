@@ -14,7 +14,7 @@ pub(crate) fn run(args: &SplitArgs) -> Result<()> {
     check_free(&args.out)?;
     let hold_out = args.hold_out.asked()?.unwrap_or_default();
     check_hold_out(&hold_out)?;
-    let list = list_scene(&args.data, &LoadOptions { hold_out, ..LoadOptions::default() })?;
+    let list = list_scene(&args.data, &LoadOptions { hold_out, with_depth: true, ..LoadOptions::default() })?;
     list.notices.iter().for_each(|notice| output::tell(&format!("notice: {notice}")));
     let wanted: usize = args.blocks.0.iter().product();
     if list.points.len() < wanted {

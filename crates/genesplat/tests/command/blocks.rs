@@ -139,6 +139,28 @@ fn blocks_have_the_photos_that_show_them_and_their_masks() {
     assert!(!all.join("scenes/0-0/test.txt").exists());
 }
 
+#[test]
+fn blocks_have_the_depth_maps_of_their_photos() {
+    let place = tempfile::tempdir().unwrap();
+    let [street, blocks] = ["street", "blocks"].map(|name| place.path().join(name));
+    write_street(&street);
+    let [width, height] = SIZE;
+    let map = |depth: f32| {
+        let values = (0..width * height).flat_map(|_| depth.to_le_bytes());
+        format!("{width}&{height}&1&").into_bytes().into_iter().chain(values).collect::<Vec<u8>>()
+    };
+    let maps = "stereo/depth_maps";
+    fs::create_dir_all(street.join(maps)).unwrap();
+    let [of_one, of_both] = ["p02.png.geometric.bin", "p05.png.geometric.bin"];
+    fs::write(street.join(maps).join(of_one), map(3.0)).unwrap();
+    fs::write(street.join(maps).join(of_both), map(4.0)).unwrap();
+    succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&blocks)]);
+    let of_block = |block: &str| blocks.join("scenes").join(block).join(maps);
+    assert_eq!(names(&of_block("0-0")), [of_one, of_both].map(str::to_owned).into());
+    assert_eq!(names(&of_block("1-0")), [of_both.to_owned()].into());
+    assert_eq!(fs::read(of_block("1-0").join(of_both)).unwrap(), map(4.0));
+}
+
 /// Has a shell run a line that works, and returns what it says.
 #[cfg(target_os = "linux")]
 fn works(line: &str, folder: &Path) -> String {
