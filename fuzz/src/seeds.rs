@@ -79,6 +79,7 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "points-txt" => vec![POINTS.into()],
         "transforms" => vec![TRANSFORMS.into(), BLENDER.into()],
         "photos" => photos(),
+        "depths" => depths(),
         "points-ply" => vec![POINTS_PLY.into(), POINTS_PLY_BINARY.into()],
         "ply" => [splats(Format::Ply), vec![SPLAT_PLY.into()]].concat(),
         "compressed-ply" => splats(Format::CompressedPly),
@@ -103,6 +104,14 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "offset" => vec![br#"{"about":"a","offset":[431250.5,5412345,-3e2]}"#.to_vec()],
         other => panic!("{other} has no seeds"),
     }
+}
+
+/// Two pixels, as COLMAP and NumPy write them.
+fn depths() -> Vec<Vec<u8>> {
+    let values = [1.5f32, 2.5].map(f32::to_le_bytes).concat();
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }\n";
+    let magic = [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes()].concat();
+    vec![[&b"2&1&1&"[..], &values].concat(), [&magic[..], header.as_bytes(), &values].concat()]
 }
 
 /// One frame of two photos.

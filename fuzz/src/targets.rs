@@ -23,7 +23,7 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 31] = [
+pub(crate) const ALL: [(&str, Target); 32] = [
     ("archive", archive),
     ("archive-names", |bytes| archive(&wrap::empty_entries(bytes.split(|byte| *byte == b'\n')))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
@@ -37,6 +37,7 @@ pub(crate) const ALL: [(&str, Target); 31] = [
     ("lenses", lenses),
     ("transforms", |bytes| drop(said(bytes::transforms(bytes)))),
     ("photos", |bytes| drop(said(bytes::photo(bytes, PHOTO_PIXELS_MAX)))),
+    ("depths", depths),
     ("points-ply", |bytes| drop(said(bytes::point_cloud(bytes)))),
     ("ply", |bytes| splat(Format::Ply, bytes)),
     ("compressed-ply", |bytes| splat(Format::CompressedPly, bytes)),
@@ -105,6 +106,13 @@ fn archive(bytes: &[u8]) {
     assert_eq!(names.len(), files.len(), "a name that occurs twice is refused");
     let list = bytes.windows(4).filter(|mark| mark == b"PK\x01\x02").count();
     assert!(files.len() <= list, "no entry is made up");
+}
+
+/// A map is the same where COLMAP has it.
+fn depths(bytes: &[u8]) {
+    let Some(map) = said(bytes::depths(bytes)) else { return };
+    let again = bytes::depths(&map).expect("what is written is read");
+    assert_eq!(again, map);
 }
 
 fn lenses(bytes: &[u8]) {

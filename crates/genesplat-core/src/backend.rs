@@ -108,6 +108,9 @@ impl Default for RenderSettings {
 pub struct LearningRates {
     /// Positions, world units (already scaled by the scene's extent).
     pub position: f32,
+    /// A step moves no Gaussian farther than this, in standard deviations of its own before the step; `None`
+    /// for no limit.
+    pub position_reach: Option<f32>,
     /// Base colour.
     pub sh_dc: f32,
     /// View-dependent colour.

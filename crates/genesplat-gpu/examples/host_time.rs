@@ -57,6 +57,7 @@ fn main() -> Result<()> {
 fn step(number: u32, view: usize) -> TrainStep {
     let rates = LearningRates {
         position: 1e-5,
+        position_reach: Some(0.1),
         sh_dc: 2.5e-3,
         sh_rest: 1.25e-4,
         opacity: 0.01,

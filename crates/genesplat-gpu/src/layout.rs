@@ -169,16 +169,17 @@ device_struct! {
     /// One optimiser step: Adam's factors `lr / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`, and MCMC's additions.
     Optimiser {
         position: f32,
+        /// How far a step moves a Gaussian at most, in its standard deviations; 0 for no limit.
+        position_reach: f32,
         scale: f32,
         rotation: f32,
         opacity: f32,
         sh_dc: f32,
         sh_rest: f32,
-        /// Second factor of all groups but opacity, and of opacity.
+        /// Second factor of all groups but opacity.
         root: f32,
+        /// That of opacity; 0 leaves opacities and their moments alone.
         opacity_root: f32,
-        /// 0 leaves opacities and their moments alone.
-        step_opacity: u32,
         /// 1 adds 3DGS-MCMC's regularisers and noise.
         is_mcmc: u32,
         /// Factor of the positional noise.

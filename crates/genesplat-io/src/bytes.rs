@@ -10,7 +10,7 @@ use crate::archive::{self, ArchiveError};
 use crate::colmap::{self, Form, ImageRecord, Intrinsics};
 use crate::format::{self, Format, FormatError, Loaded, Options};
 use crate::offset::{self, Offset};
-use crate::photos::{self, Cut, EncodedPhoto, PhotoError};
+use crate::photos::{self, Cut, Depths, EncodedPhoto, PhotoError};
 use crate::ply;
 use crate::scene::Point;
 use crate::{SceneError, transforms};
@@ -89,6 +89,11 @@ pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError>
     let (width, height) = photo.size();
     let is_small = u64::from(width) * u64::from(height) <= pixels_max;
     is_small.then(|| photo.decode_on_black()).transpose()
+}
+
+/// A depth map, as the file of COLMAP's dense reconstruction that says the same.
+pub fn depths(bytes: &[u8]) -> Result<Vec<u8>, PhotoError> {
+    Ok(Depths::of(NAME.as_ref(), bytes.to_vec())?.to_dense())
 }
 
 /// A grey photo of `camera`, as a pinhole takes it, or the last of several; `None` where the lens cannot be

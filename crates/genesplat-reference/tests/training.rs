@@ -161,8 +161,15 @@ fn gene_gradients_are_summed_with_their_sign() {
     assert!(statistics.weight_sum.iter().all(|weight| *weight == 0.0));
 }
 
-const RATES: LearningRates =
-    LearningRates { position: 0.1, sh_dc: 0.2, sh_rest: 0.3, opacity: 0.4, scale: 0.5, rotation: 0.6 };
+const RATES: LearningRates = LearningRates {
+    position: 0.1,
+    position_reach: None,
+    sh_dc: 0.2,
+    sh_rest: 0.3,
+    opacity: 0.4,
+    scale: 0.5,
+    rotation: 0.6,
+};
 
 fn update(step: u32, opacity_step: u32) -> Update {
     Update { rates: RATES, step, opacity_step, mcmc: None }
@@ -207,6 +214,27 @@ fn a_row_without_gradient_keeps_moving() {
     assert!((cloud.opacity_logits[0] - after_first - expected).abs() < 1e-5);
     assert!((moments.first.opacity_logits[0] - 0.09).abs() < 1e-7);
     assert!((moments.second.opacity_logits[0] - 0.000_999).abs() < 1e-7);
+}
+
+/// Along an axis of which a step of the rate is a fifth, the whole step is halved; elsewhere nothing is.
+#[test]
+fn a_step_moves_no_gaussian_farther_than_its_reach() {
+    let mut cloud = Cloud64::default();
+    let half_turn = std::f64::consts::FRAC_1_SQRT_2;
+    for scales in [[0.5f64, 5.0, 50.0], [5.0, 0.5, 50.0], [2.0; 3]] {
+        push(&mut cloud, [0.0; 3], 1.0, 0.5, [0.5; 3]);
+        let row = cloud.positions.len() - 1;
+        cloud.log_scales[row] = scales.map(f64::ln);
+        // The own x axis is the world's y axis.
+        cloud.rotations[row] = [half_turn, 0.0, 0.0, half_turn];
+    }
+    let mut gradient = Cloud64::zeros(3);
+    gradient.positions.fill([0.0, -3.0, 0.0]);
+    let limited = Update { rates: LearningRates { position_reach: Some(0.1), ..RATES }, ..update(1, 1) };
+    adam(&mut cloud, &mut Moments64::zeros(3), &gradient, &limited);
+    let moved: Vec<f64> = cloud.positions.iter().map(|position| position[1]).collect();
+    assert!((moved[0] - 0.05).abs() < 1e-6 && (moved[1] - 0.1).abs() < 1e-6, "{moved:?}");
+    assert!((moved[2] - 0.1).abs() < 1e-6, "{moved:?}");
 }
 
 #[test]
@@ -267,6 +295,7 @@ fn training_lowers_the_loss() {
     let mut moments = Moments64::zeros(2);
     let rates = LearningRates {
         position: 0.01,
+        position_reach: None,
         sh_dc: 0.05,
         sh_rest: 0.002,
         opacity: 0.05,

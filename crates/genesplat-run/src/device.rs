@@ -198,8 +198,15 @@ pub fn open(choice: DeviceChoice) -> Result<Device> {
 /// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts
 /// from 1.
 pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
-    let rates =
-        LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
+    let rates = LearningRates {
+        position: 0.0,
+        position_reach: None,
+        sh_dc: 0.0,
+        sh_rest: 0.0,
+        opacity: 0.0,
+        scale: 0.0,
+        rotation: 0.0,
+    };
     TrainStep {
         view,
         settings,

@@ -97,6 +97,7 @@ impl Schedule {
         let grown = |rate: f64| (f64::from(rate as f32) * by_views) as f32;
         LearningRates {
             position: (position * extent * by_views) as f32,
+            position_reach: self.timeline.position_reach,
             sh_dc: grown(method.feature_rate * others),
             sh_rest: grown(method.feature_rate / REST_RATES * others),
             opacity: grown(f64::from(method.opacity_rate) * others),
@@ -141,6 +142,9 @@ impl Schedule {
         let end = method.position_rate_end;
         let steps = thousands(self.timeline.position_steps);
         lines.push(format!("the rate of positions falls from {start:e} to {end:e} over {steps}"));
+        if let Some(reach) = timeline.position_reach {
+            lines.push(format!("a step moves no Gaussian by more than {reach} of its standard deviations"));
+        }
         if let Some(Haste { others, .. }) = timeline.haste {
             lines.push(format!(
                 "few looks at each photo: other rates but rotations' are {others} times as high"

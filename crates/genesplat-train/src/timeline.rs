@@ -287,6 +287,8 @@ pub struct Timeline {
     pub(crate) recovery: Option<Recovery>,
     /// How much higher rates are, if they are.
     pub(crate) haste: Option<Haste>,
+    /// How far a step moves a Gaussian at most, in its standard deviations.
+    pub(crate) position_reach: Option<f32>,
 }
 
 impl Timeline {
@@ -319,6 +321,7 @@ impl Timeline {
             size_prune_after: length.scaled(SIZE_PRUNE_AFTER).min(length.interval(method.reset_every)),
             recovery: None,
             haste: None,
+            position_reach: None,
         };
         timeline.add(Event::Densify, timeline.densifications());
         timeline

@@ -31,6 +31,18 @@ fn step(at: u32, gradient: vec4<f32>, rate: vec4<f32>, root: vec4<f32>, keep: ve
     second_moments[at] = select(v, second_moments[at], keep);
 }
 
+// Shortens what has moved a Gaussian farther than its reach from where it was before.
+fn limit_position(row: u32, before: vec3<f32>) {
+    let after = geometry[3u * row];
+    let change = after.xyz - before;
+    let log_scale = geometry[3u * row + 1u].xyz;
+    let deviations = (change * unit_rotation(geometry[3u * row + 2u])) * exp(-log_scale);
+    let length = sqrt(dot(deviations, deviations));
+    if length > optimiser.position_reach {
+        geometry[3u * row] = vec4(before + optimiser.position_reach / length * change, after.w);
+    }
+}
+
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let local = group_of(group) * GROUP + lane;
@@ -49,10 +61,14 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         scale += vec4(exp(log_scale.xyz) * (optimiser.scale_weight / (3.0 * rows)), 0.0);
     }
     let root = vec4(optimiser.root);
-    let keep_opacity = optimiser.step_opacity == 0u;
+    let before = geometry[3u * local].xyz;
+    let keep_opacity = optimiser.opacity_root == 0.0;
     step(
         3u * local, position, vec4(vec3(optimiser.position), optimiser.opacity),
         vec4(root.xyz, optimiser.opacity_root), vec4(false, false, false, keep_opacity));
+    if optimiser.position_reach > 0.0 {
+        limit_position(local, before);
+    }
     // The 3D filter is no parameter.
     step(3u * local + 1u, scale, vec4(optimiser.scale), root, vec4(false, false, false, true));
     let rotation = gradient(4u * local + 2u, is_known);

@@ -107,7 +107,7 @@ shaders! {
     ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR_STEPS, COLOUR];
     NOTE_STEP = "optimise/note_step" + [COLOUR_STEPS];
     MAKE_UP_COLOUR = "optimise/make_up_colour" + [ADAM_STEP, COLOUR_STEPS, MAKE_UP];
-    ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP];
+    ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP, ROTATION];
     // The same where an optimiser step has the gradients of several views.
     KEEP_COLOUR = "optimise/keep_colour" + [COLOUR];
     KEEP_GEOMETRY = "optimise/keep_geometry" + [];

@@ -107,14 +107,14 @@ impl Optimiser {
         let rate = |rate: f32| Update::factors(rate, update.step)[0];
         let mut optimiser = Self {
             position,
+            position_reach: rates.position_reach.unwrap_or(0.0),
             scale: rate(rates.scale),
             rotation: rate(rates.rotation),
             opacity,
             sh_dc: rate(rates.sh_dc),
             sh_rest: rate(rates.sh_rest),
             root,
-            opacity_root,
-            step_opacity: (update.opacity_step > 0).into(),
+            opacity_root: if update.opacity_step > 0 { opacity_root } else { 0.0 },
             ..Self::default()
         };
         if let Some(McmcStep { noise_scale, opacity_weight, scale_weight, rng, counter }) = update.mcmc {

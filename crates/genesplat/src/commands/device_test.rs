@@ -168,6 +168,7 @@ fn statistics(device: &mut Device, _: &Scene) -> Result<Vec<f32>, BackendError> 
 fn step(step: u32, views: usize) -> TrainStep {
     let rates = LearningRates {
         position: 1.6e-4,
+        position_reach: Some(0.1),
         sh_dc: 2.5e-3,
         sh_rest: 1.25e-4,
         opacity: 0.025,

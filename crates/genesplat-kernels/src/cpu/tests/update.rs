@@ -28,6 +28,7 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
     let mut backend = backend_with(&start);
     let mut expected = Cloud64::from(&start);
     let mut moments = reference::Moments64::zeros(300);
+    let (mut without_limit, mut its_moments) = (expected.clone(), moments.clone());
     for number in 1..=10 {
         let mut step = classic_step(number);
         let update = step.update.as_mut().unwrap();
@@ -41,6 +42,10 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         let (gradient, ..) = gradients(Level::new(), &inputs, &mut now.clone(), None);
         let gradient = Cloud64::from(&gradient);
         reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());
+        let update = step.update.as_mut().unwrap();
+        let reach = update.rates.position_reach.take();
+        reference::adam(&mut without_limit, &mut its_moments, &gradient, update);
+        update.rates.position_reach = reach;
         backend.train_step(&step).unwrap();
     }
     let actual = backend.download().unwrap();
@@ -62,6 +67,10 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         assert!(close(actual.opacity_logits[row], expected.opacity_logits[row]), "opacity of row {row}");
     }
     assert_ne!(actual.positions, start.positions);
+    let is_limited =
+        |row: &usize| !(0..3).all(|k| close(actual.positions[*row][k], without_limit.positions[*row][k]));
+    let limited = (0..300).filter(is_limited).count();
+    assert!((10..290).contains(&limited), "some rows would have moved farther, {limited} of them");
 }
 
 /// Two steps of three views each, of which one shows another part of the cloud.

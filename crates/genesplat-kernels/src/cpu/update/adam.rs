@@ -6,9 +6,10 @@ use genesplat_core::Update;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
 use genesplat_core::spherical_harmonics::{SH_STRIDE, coefficients};
 
-use super::chunk::{ChunkGradients, ChunkMut};
-use crate::cpu::simd::{LANES, V};
+use super::chunk::{ChunkGradients, ChunkMut, RowsMut};
+use crate::cpu::simd::{LANES, V, array, exp};
 use crate::cpu::view::CHUNK;
+use crate::cpu::view::geometry::{Params, own_axes};
 
 /// Adam's bias-corrected factors of one parameter group.
 #[derive(Clone, Copy)]
@@ -47,8 +48,13 @@ pub(crate) fn adam<S: Simd>(simd: S, update: &Update, gradients: &ChunkGradients
     }
     let rates = &update.rates;
     let rate = |rate: f32| Rate::new(rate, update.step);
+    let mut before = [[0.0; 3]; CHUNK];
+    before[..n].copy_from_slice(chunk.parameters.positions);
     let column = chunk.column(|rows| rows.positions.as_flattened_mut());
     step_column(simd, rate(rates.position), positions[..n].as_flattened(), column);
+    if let Some(reach) = rates.position_reach {
+        limit_positions(simd, reach, &before[..n], &mut chunk.parameters);
+    }
     let column = chunk.column(|rows| rows.log_scales.as_flattened_mut());
     step_column(simd, rate(rates.scale), log_scales[..n].as_flattened(), column);
     let column = chunk.column(|rows| rows.rotations.as_flattened_mut());
@@ -56,6 +62,34 @@ pub(crate) fn adam<S: Simd>(simd: S, update: &Update, gradients: &ChunkGradients
     if update.opacity_step > 0 {
         let opacity = Rate::new(rates.opacity, update.opacity_step);
         step_column(simd, opacity, &opacity_logits[..n], chunk.column(|rows| rows.opacity_logits));
+    }
+}
+
+/// Shortens what moved a Gaussian farther than `reach` of its standard deviations from where it was before.
+#[inline(always)]
+fn limit_positions<S: Simd>(simd: S, reach: f32, before: &[[f32; 3]], rows: &mut RowsMut) {
+    for group in (0..before.len()).step_by(LANES) {
+        let count = LANES.min(before.len() - group);
+        let params = Params::load(simd, |lane| {
+            let row = group + lane.min(count - 1);
+            let [step, s]: [[f32; 3]; 2] =
+                [array!(axis => rows.positions[row][axis] - before[row][axis]), rows.log_scales[row]];
+            ([step[0], step[1], step[2], s[0], s[1], s[2], 0.0], rows.rotations[row], 0.0)
+        });
+        let (step, axes) = (&params.position, own_axes(&params.rotation));
+        let deviations: [V<S>; 3] = array!(axis => {
+            let along = step[0] * axes[0][axis] + step[1] * axes[1][axis] + step[2] * axes[2][axis];
+            along * exp(-params.log_scale[axis])
+        });
+        let [x, y, z] = deviations;
+        let length = (x * x + y * y + z * z).sqrt();
+        let part: [f32; LANES] = *(V::splat(simd, reach) / length);
+        for row in (group..group + count).filter(|row| part[row - group] < 1.0) {
+            for axis in 0..3 {
+                let step = rows.positions[row][axis] - before[row][axis];
+                rows.positions[row][axis] = before[row][axis] + part[row - group] * step;
+            }
+        }
     }
 }
 

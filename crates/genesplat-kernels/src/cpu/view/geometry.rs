@@ -88,9 +88,7 @@ impl<S: Simd> Geometry<S> {
         let one = V::splat(params.opacity_logit.simd, 1.0);
 
         // 1. Own axes: rotation matrix of the unit quaternion, variances with the 3D filter.
-        let [qw, qx, qy, qz] = params.rotation;
-        let length = (qw * qw + qx * qx + qy * qy + qz * qz).sqrt().max(1e-12);
-        let inverse_length = one / length;
+        let inverse_length = inverse_length_of(&params.rotation);
         let unit = array!(k => params.rotation[k] * inverse_length);
         let r = rotation_matrix(unit);
         let variance_raw: [V<S>; 3] = array!(k => exp(params.log_scale[k] * 2.0));
@@ -205,6 +203,18 @@ fn screen_factor<S: Simd>(filter: ScreenFilter, det_raw: V<S>, det: V<S>) -> V<S
             vanishes.select(V::splat(simd, 0.0), ratio.sqrt())
         }
     }
+}
+
+#[inline(always)]
+fn inverse_length_of<S: Simd>(&[w, x, y, z]: &[V<S>; 4]) -> V<S> {
+    V::splat(w.simd, 1.0) / (w * w + x * x + y * y + z * z).sqrt().max(1e-12)
+}
+
+/// The own axes of Gaussians with these raw quaternions, as columns.
+#[inline(always)]
+pub(crate) fn own_axes<S: Simd>(rotation: &[V<S>; 4]) -> [[V<S>; 3]; 3] {
+    let inverse_length = inverse_length_of(rotation);
+    rotation_matrix(array!(k => rotation[k] * inverse_length))
 }
 
 #[inline(always)]
