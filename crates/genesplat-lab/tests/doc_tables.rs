@@ -63,8 +63,9 @@ fn every_setting_stands_in_the_document_as_the_code_explains_it() {
     let line =
         |setting: &str| page.lines().find(|line| line.starts_with(&format!("| `{setting}` |"))).unwrap();
     assert!(
-        line("position_rate_start")
-            .starts_with("| `position_rate_start` | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 4e-5 | Rate")
+        line("position_rate_start").starts_with(
+            "| `position_rate_start` | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 1.6e-4 | 4e-5 | Rate"
+        )
     );
     assert!(line("opacity_rate").starts_with("| `opacity_rate` | 0.025 | 0.05 | 0.05 |"));
     assert!(

@@ -276,11 +276,14 @@ fn rates_are_higher_where_each_photo_is_seen_seldom() {
     assert!(few.timeline().first(Event::ResetOpacity).is_some());
     assert_eq!(many.timeline().first(Event::ResetOpacity), None);
     let ratio = |of: fn(&LearningRates) -> f32| of(&hasty) / of(&usual);
-    assert!((ratio(|rates| rates.position) - 8.0).abs() < 0.01, "it falls to the same end");
+    assert!((ratio(|rates| rates.position) - 2.0).abs() < 0.01, "it falls to the same end");
     assert_eq!(
         [ratio(|r| r.sh_dc), ratio(|r| r.sh_rest), ratio(|r| r.opacity), ratio(|r| r.scale)],
         [2.0; 4]
     );
+    assert_eq!([hasty.position_reach, usual.position_reach], [Some(0.1); 2]);
+    let published = schedule_of(MethodName::ImprovedGs, |_| {}).rates(2.0, 1);
+    assert_eq!(published.position_reach, None, "steps as its authors have them");
     assert_eq!(hasty.rotation, usual.rotation);
     assert!(schedule.lines(88).iter().any(|line| line.contains("few looks")));
     assert!(!schedule.lines(87).iter().any(|line| line.contains("few looks")));

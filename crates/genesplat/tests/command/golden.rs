@@ -1,10 +1,10 @@
 //! Every method's splat is the same to the byte as when its published rules were last compared, whatever is
 //! reshaped.
 //!
-//! Hashes are those of commit `718eef9f`, the last before methods had files of their own; that of the run
-//! with 60 looks at each photo is of the commit that gave it haste. Bytes hang on the
+//! Hashes are those of commit `718eef9f`, the last before methods had files of their own. Bytes hang on the
 //! processor's approximate reciprocals and on the system's `exp`: a machine that computes otherwise compares
-//! figures, within what rounding costs.
+//! figures, within what rounding costs. So does any for ours, which has bounded steps since such a machine
+//! was at hand.
 
 use std::hash::Hasher;
 
@@ -38,13 +38,13 @@ const CASES: [Case; 21] = [
     ("3dgs-random", &["--method", "3dgs", "--steps-scale", "0.03", "--background", "random", "--antialiasing"], Some(0xee22_dcfc_8c87_18c1), 21.01, 2009),
     ("3dgs-views", &["--method", "3dgs", "--steps-scale", "0.03", "--views-per-step", "4", "--max-gaussians", "2000"], Some(0xb5aa_7c1f_25ae_8300), 20.24, 1989),
     ("mcmc-views", &["--method", "mcmc", "--steps-scale", "0.03", "--views-per-step", "4", "--max-gaussians", "2000"], Some(0xfb38_960c_c201_0aa7), 19.89, 420),
-    ("genesplat-600", &["--method", "genesplat", "--iterations", "600"], Some(0x502d_6ae4_77fa_dd8b), 21.48, 1121),
-    ("genesplat-1500", &["--method", "genesplat", "--iterations", "1500"], Some(0x66ac_9cca_d659_b88d), 22.44, 4769),
-    ("genesplat-3000", &["--method", "genesplat", "--iterations", "3000", "--max-gaussians", "1500"], Some(0x603d_843d_20a7_c10e), 22.25, 1472),
-    ("genesplat-scaled", &["--method", "genesplat", "--steps-scale", "0.03"], Some(0xf5cd_657b_a7e0_83cf), 21.72, 3534),
-    ("genesplat-cap", &["--method", "genesplat", "--iterations", "900", "--max-gaussians", "800", "--seed", "5"], Some(0xc6be_e443_98fe_ed4e), 20.82, 765),
-    ("genesplat-white", &["--method", "genesplat", "--iterations", "900", "--background", "white", "--views-per-step", "2"], Some(0xcad0_a1af_d3ee_9126), 21.86, 3166),
-    ("genesplat-masks", &["--method", "genesplat", "--iterations", "900"], Some(0xcf9d_11fb_66e4_d6f9), 21.59, 3334),
+    ("genesplat-600", &["--method", "genesplat", "--iterations", "600"], None, 21.44, 1123),
+    ("genesplat-1500", &["--method", "genesplat", "--iterations", "1500"], None, 22.69, 4769),
+    ("genesplat-3000", &["--method", "genesplat", "--iterations", "3000", "--max-gaussians", "1500"], None, 22.51, 1472),
+    ("genesplat-scaled", &["--method", "genesplat", "--steps-scale", "0.03"], None, 21.65, 3602),
+    ("genesplat-cap", &["--method", "genesplat", "--iterations", "900", "--max-gaussians", "800", "--seed", "5"], None, 20.99, 765),
+    ("genesplat-white", &["--method", "genesplat", "--iterations", "900", "--background", "white", "--views-per-step", "2"], None, 21.81, 3261),
+    ("genesplat-masks", &["--method", "genesplat", "--iterations", "900"], None, 21.64, 3394),
 ];
 
 /// Rounding changes which Gaussians grow, as another seed does. Twice what the seeds 0, 1 and 2 were apart in
