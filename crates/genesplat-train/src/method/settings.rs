@@ -89,8 +89,8 @@ settings! {
     /// Improved-GS's root; runs of less than 5,000 iterations follow the root.
     gradual_growth: bool,
     /// Where a run from points looks at each photo fewer times than this, it grows along that root, resets no
-    /// opacities (unless a search follows), averages the last fifth alone, and doubles the rates of positions
-    /// at the start, colours, opacities and scales. 0 for never.
+    /// opacities (unless a search follows), averages the last fifth alone, starts with 4 times the rate of
+    /// positions, and doubles the rates of colours, opacities and scales. 0 for never.
     few_looks: u32,
     /// The mean of the states of the last two fifths of the run is the result.
     averaging: bool,

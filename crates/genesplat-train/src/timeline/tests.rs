@@ -276,7 +276,7 @@ fn rates_are_higher_where_each_photo_is_seen_seldom() {
     assert!(few.timeline().first(Event::ResetOpacity).is_some());
     assert_eq!(many.timeline().first(Event::ResetOpacity), None);
     let ratio = |of: fn(&LearningRates) -> f32| of(&hasty) / of(&usual);
-    assert!((ratio(|rates| rates.position) - 2.0).abs() < 0.01, "it falls to the same end");
+    assert!((ratio(|rates| rates.position) - 4.0).abs() < 0.01, "it falls to the same end");
     assert_eq!(
         [ratio(|r| r.sh_dc), ratio(|r| r.sh_rest), ratio(|r| r.opacity), ratio(|r| r.scale)],
         [2.0; 4]
