@@ -37,9 +37,9 @@ const FEW_LOOKS: u32 = 80;
 /// bounded: positions alone +0.2 dB, with scales +0.5, all of them +0.6. Improved-GS gains as much by them.)
 const HASTE: Haste = Haste { position: 4.0, others: 2.0 };
 
-/// In its standard deviations. Positions start at 3DGS's rate, four times that of Improved-GS: large Gaussians
-/// find their places sooner, and small ones stay there. (arXiv 2602.00395 bounds steps of all parameters so.
-/// What both are worth: lab/experiments.md)
+/// A step moves no Gaussian farther than this, in its standard deviations. So positions may start at 3DGS's
+/// rate, four times that of Improved-GS: large Gaussians find their places sooner, and small ones stay there.
+/// (arXiv 2602.00395 bounds steps of all parameters so. What both are worth: lab/experiments.md)
 const POSITION_REACH: f32 = 0.1;
 
 /// The part of such a run whose states are averaged.

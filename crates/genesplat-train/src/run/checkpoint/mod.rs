@@ -26,7 +26,7 @@ mod joint;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x0e";
+const MAGIC: [u8; 8] = *b"GSPLATC\x0f";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
