@@ -200,7 +200,8 @@ pub fn open(choice: DeviceChoice) -> Result<Device> {
 pub fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
     let rates = LearningRates {
         position: 0.0,
-        position_reach: None,
+        // As the default method has it: what is looked for costs as much where nothing is found.
+        position_reach: Some(0.1),
         sh_dc: 0.0,
         sh_rest: 0.0,
         opacity: 0.0,

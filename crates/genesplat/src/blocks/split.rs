@@ -8,7 +8,8 @@ use genesplat::core::Camera;
 use genesplat::io::blocks::{Block, Grid, Members};
 use genesplat::io::colmap::write_model;
 use genesplat::io::{
-    ListedDepth, Offset, Point, SceneList, ScenePhoto, dense_name, model_of, offset, own, plural, shown,
+    ListedDepth, Offset, Point, SceneError, SceneList, ScenePhoto, dense_name, model_of, offset, own, plural,
+    shown,
 };
 use genesplat::run::files::{make_own_folder, unwritable, write_own, write_own_text};
 use genesplat::run::numbers::thousands;
@@ -78,14 +79,19 @@ fn check<'a>(block: &Block, mut photos: impl Iterator<Item = &'a ScenePhoto>) ->
 }
 
 fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
+    let mut unread = Vec::new();
     for photo in &content.photos {
         place(&photo.path, folder, &Path::new("images").join(&photo.name))?;
         if let Some(mask) = &photo.mask {
             place(mask, folder, &Path::new("masks").join(format!("{}.png", photo.name)))?;
         }
         if let Some(depth) = &photo.depth {
-            place_depth(depth, folder, &photo.name)?;
+            unread.extend(place_depth(depth, folder, &photo.name)?);
         }
+    }
+    if let [error, ..] = &unread[..] {
+        let maps = format!("{} {}", unread.len(), plural(unread.len(), "depth map", "depth maps"));
+        output::tell(&format!("notice: {} goes without {maps}: {error}", shown(folder)));
     }
     let tests: Vec<&str> =
         content.photos.iter().filter(|photo| photo.is_test).map(|photo| &*photo.name).collect();
@@ -105,19 +111,16 @@ fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
         .map_err(|error| unwritable(&model, &error))
 }
 
-/// Puts a photo's depth map into the scene of a block, where COLMAP has it.
-fn place_depth(depth: &ListedDepth, folder: &Path, photo: &str) -> Result<()> {
+/// Puts a photo's depth map into the scene of a block, where COLMAP has it. One that cannot be read is left
+/// out, as by training; says why.
+fn place_depth(depth: &ListedDepth, folder: &Path, photo: &str) -> Result<Option<SceneError>> {
     let name = dense_name(photo);
-    if depth.is_dense() {
-        return place(&depth.path, folder, &name);
+    if depth.is_dense() && depth.path.is_file() {
+        return place(&depth.path, folder, &name).map(|()| None);
     }
     match depth.to_dense() {
-        Ok(bytes) => write_own(folder, &name, |out| out.write_all(&bytes)),
-        // As training leaves it out.
-        Err(error) => {
-            output::tell(&format!("notice: {error}; block {} goes without it", shown(folder)));
-            Ok(())
-        }
+        Ok(bytes) => write_own(folder, &name, |out| out.write_all(&bytes)).map(|()| None),
+        Err(error) => Ok(Some(error)),
     }
 }
 

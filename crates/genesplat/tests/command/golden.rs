@@ -3,8 +3,7 @@
 //!
 //! Hashes are those of commit `718eef9f`, the last before methods had files of their own. Bytes hang on the
 //! processor's approximate reciprocals and on the system's `exp`: a machine that computes otherwise compares
-//! figures, within what rounding costs. So does any for ours, which has bounded steps since such a machine
-//! was at hand.
+//! figures, within what rounding costs. Ours has no hashes: its steps were bounded on such a machine.
 
 use std::hash::Hasher;
 
