@@ -53,10 +53,8 @@ impl ListedDepth {
 
     /// The file of COLMAP's dense reconstruction that says the same. Fails where the map cannot be read.
     pub fn to_dense(&self) -> Result<Vec<u8>, SceneError> {
-        let bytes =
-            input::read(&self.path).map_err(|error| SceneError::invalid(&self.path, error.to_string()))?;
-        let mut depths = Depths::of(&self.path, bytes)
-            .map_err(|error| SceneError::invalid(&self.path, error.to_string()))?;
+        let unread = |error| SceneError::invalid(&self.path, format!("cannot be read: {error}"));
+        let mut depths = Depths::of(&self.path, input::read(&self.path).map_err(unread)?)?;
         depths.values.iter_mut().for_each(|depth| *depth *= self.unit as f32);
         Ok(depths.to_dense())
     }

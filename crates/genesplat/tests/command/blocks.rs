@@ -11,7 +11,7 @@ use genesplat::io::{Point, read_ply};
 
 #[cfg(target_os = "linux")]
 use crate::support::{command, json, judge_failure, started_by};
-use crate::support::{fail, scene, succeed, text};
+use crate::support::{fail, run, scene, succeed, text};
 
 /// Photos of the street, px.
 const SIZE: [u32; 2] = [24, 96];
@@ -159,6 +159,49 @@ fn blocks_have_the_depth_maps_of_their_photos() {
     assert_eq!(names(&of_block("0-0")), [of_one, of_both].map(str::to_owned).into());
     assert_eq!(names(&of_block("1-0")), [of_both.to_owned()].into());
     assert_eq!(fs::read(of_block("1-0").join(of_both)).unwrap(), map(4.0));
+}
+
+/// Maps of a list are written as COLMAP has them; what cannot be read is said once a block.
+#[test]
+fn blocks_go_without_depth_maps_that_cannot_be_read() {
+    let place = tempfile::tempdir().unwrap();
+    let [street, blocks] = ["street", "blocks"].map(|name| place.path().join(name));
+    write_street(&street);
+    fs::remove_dir_all(street.join("sparse")).unwrap();
+    let [width, height] = SIZE;
+    let depths = vec![7u16; (width * height) as usize];
+    let header = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({height}, {width}), }}\n");
+    let head = [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat();
+    let map: Vec<u8> = head.into_iter().chain(depths.iter().flat_map(|depth| depth.to_le_bytes())).collect();
+    // Of twelve photos the third has a map, and all others name one that is not there.
+    fs::write(street.join("2.npy"), map).unwrap();
+    let frame = |x: usize| {
+        serde_json::json!({
+            "file_path": format!("images/{}", photo(x)),
+            "depth_file_path": format!("{x}.npy"),
+            "transform_matrix": [[1, 0, 0, x], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]],
+        })
+    };
+    let list = serde_json::json!({
+        "w": width, "h": height, "fl_x": 24, "fl_y": 24, "cx": 12, "cy": 48, "depth_unit_scale_factor": 0.5,
+        "ply_file_path": "points.ply", "frames": (0..12).map(frame).collect::<Vec<_>>(),
+    });
+    fs::write(street.join("transforms.json"), list.to_string()).unwrap();
+    let point = |nth: usize| format!("{} {} 3 90 90 90\n", 0.25 * (nth / 13) as f32, (nth % 13) as f32 - 6.0);
+    let points: String = (0..45 * 13).map(point).collect();
+    let header = "ply\nformat ascii 1.0\nelement vertex 585\nproperty float x\nproperty float y\nproperty float z\n\
+        property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    fs::write(street.join("points.ply"), format!("{header}{points}")).unwrap();
+    let output = run(["split", text(&street), "--blocks", "2x1", "--out", text(&blocks), "--train-on-all"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{said}");
+    let maps = blocks.join("scenes/0-0/stereo/depth_maps");
+    assert_eq!(names(&maps).len(), 1, "{said}");
+    let written = fs::read(maps.join("p02.png.geometric.bin")).unwrap();
+    assert!(written.starts_with(b"24&96&1&") && written.ends_with(&3.5f32.to_le_bytes()));
+    assert_eq!(said.matches("goes without").count(), 2, "{said}");
+    assert!(said.contains("goes without 11 depth maps: "), "{said}");
+    assert!(said.contains("0.npy cannot be read: "), "{said}");
 }
 
 /// Has a shell run a line that works, and returns what it says.
