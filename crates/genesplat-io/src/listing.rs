@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::ffi::OsStr;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -16,7 +17,7 @@ use crate::colmap::ROUND;
 use crate::digest::Digest;
 use crate::error::SceneError;
 use crate::offset::Offset;
-use crate::photos::{Cut, Lens, PhotoError, part_names};
+use crate::photos::{Cut, Lens, part_names};
 use crate::scene::{Cube, Doubt, Point, Sight, mask_beside};
 use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending, photos_in};
 use crate::{names, plural, shown};
@@ -317,9 +318,9 @@ pub(crate) fn absent_notice(missing: &[PathBuf], all: usize, list: &Path) -> Opt
     Some(format!("{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"))
 }
 
-/// Of all photos of a scene, these are damaged, and are left out as absent ones are.
-pub(crate) fn damaged_notice(damaged: &[PhotoError], all: usize) -> Option<String> {
-    let (first, count) = (damaged.first()?, damaged.len());
+/// Of all photos of a scene, these cannot be used, as their errors say, and are left out as absent ones are.
+pub(crate) fn unusable_notice<E: Display>(unusable: &[E], all: usize) -> Option<String> {
+    let (first, count) = (unusable.first()?, unusable.len());
     let are = plural(count, "cannot be used and is left out", "cannot be used and are left out");
     Some(format!("{count} of the {all} photos {are}, first: {first}"))
 }

@@ -98,30 +98,24 @@ fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
     }
 }
 
-/// The points of a file: position in world units, less `offset`, and colour.
+/// The points of a file that can be: position in world units, less `offset`, and colour.
 pub(crate) fn points(
     file: &Path,
     offset: Offset,
     all: impl Iterator<Item = Result<([f64; 3], [u8; 3]), SceneError>>,
 ) -> Result<Finite<Point>, SceneError> {
     let (mut records, mut lost) = (Vec::new(), 0);
-    for (index, point) in all.enumerate() {
+    for point in all {
         let (position, rgb) = point?;
         match position_problem(position) {
             None => records.push(Point { position: less(position, offset), rgb }),
-            Some(_) if !position.iter().all(|v| v.is_finite()) => lost += 1,
-            Some(problem) => {
-                let place = index + 1;
-                let problem =
-                    format!("point {place} has a position that {problem}; remove it or reconstruct again");
-                return Err(SceneError::bad_record(file, problem));
-            }
+            Some(_) => lost += 1,
         }
     }
     let all = lost + records.len();
     let notice = (lost > 0).then(|| {
-        let are = plural(lost, "is not finite and is left out", "are not finite and are left out");
-        format!("{lost} of the {all} points of {} {are}", shown(file))
+        let are = plural(lost, "is", "are");
+        format!("{lost} of the {all} points of {} {are} not finite, or beyond 1e9 world units, and {are} left out", shown(file))
     });
     Ok(Finite { records, notice })
 }

@@ -39,7 +39,7 @@ pub use view::SIDE_MIN_PX;
 use crate::colmap::{self, ModelFolder, PhotoFolder};
 use crate::digest::Digest;
 use crate::error::SceneError;
-use crate::listing::{Frame, ListedPhoto, Listing, Wanted, damaged_notice};
+use crate::listing::{Frame, ListedPhoto, Listing, Wanted, unusable_notice};
 use crate::offset::{self, Offset};
 use crate::photos::PhotoSize;
 use crate::{input, plural, shown, transforms};
@@ -293,7 +293,7 @@ fn load_photos(
             .map(|photo| view::load(photo, options, &pinholes, &storage, judge, progress))
             .collect()
     };
-    let (mut loaded, digests) = without_damaged([load(photos[0])?, load(photos[1])?], notices)?;
+    let (mut loaded, digests) = usable([load(photos[0])?, load(photos[1])?], notices)?;
     notices.extend(cut_notice(&loaded));
     let all = || loaded.iter().flatten();
     let count = |holds: fn(&Loaded) -> bool| all().filter(|loaded| holds(loaded)).count();
@@ -335,21 +335,26 @@ fn cut_notice(photos: &OfParts<Loaded>) -> Option<String> {
         .then(|| format!("{} {photos} more than a pinhole can, and are cut into {views} views", cut.len()))
 }
 
-/// The photos that could be decoded, and the digests of all. An error where none is left to train on.
-fn without_damaged(
+/// The photos that can be used, and the digests of all. An error where none is left to train on, or half of
+/// all are not the photos of their cameras.
+fn usable(
     opened: OfParts<Opened>,
     notices: &mut Vec<String>,
 ) -> Result<(OfParts<Loaded>, OfParts<PhotoDigests>), SceneError> {
     let all = opened.iter().map(Vec::len).sum();
     let digests = opened.each_ref().map(|part| part.iter().map(|photo| photo.digests.clone()).collect());
-    let mut damaged = Vec::new();
+    let mut unusable = Vec::new();
     let loaded = opened.map(|part| -> Vec<Loaded> {
-        part.into_iter().filter_map(|photo| photo.loaded.map_err(|error| damaged.push(error)).ok()).collect()
+        part.into_iter().filter_map(|photo| photo.loaded.map_err(|error| unusable.push(error)).ok()).collect()
     });
-    if loaded[0].is_empty() && !damaged.is_empty() {
-        return Err(damaged.swap_remove(0).into());
+    let is_other = |error: &SceneError| matches!(error, SceneError::BadPhoto { .. });
+    let first_other = unusable.iter().position(is_other);
+    let is_wrong = 2 * unusable.iter().filter(|error| is_other(error)).count() >= all;
+    let why = first_other.filter(|_| is_wrong).or(loaded[0].is_empty().then_some(0));
+    if let Some(why) = why.filter(|why| *why < unusable.len()) {
+        return Err(unusable.swap_remove(why));
     }
-    notices.extend(damaged_notice(&damaged, all));
+    notices.extend(unusable_notice(&unusable, all));
     Ok((loaded, digests))
 }
 

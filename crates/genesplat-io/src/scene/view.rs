@@ -17,11 +17,11 @@ use crate::photos::{EncodedPhoto, PhotoError, PhotoFile, PhotoMask};
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
 
-/// A photo that could be read.
+/// A photo that was looked at.
 pub(super) struct Opened {
     pub(super) digests: PhotoDigests,
-    /// Or why its pixels cannot be had: the file is damaged, or no photo.
-    pub(super) loaded: Result<Loaded, PhotoError>,
+    /// Or why it cannot be used: it is damaged, or no photo, or not that of its camera.
+    pub(super) loaded: Result<Loaded, SceneError>,
 }
 
 /// The views of a photo, and what it hides.
@@ -77,13 +77,22 @@ pub(super) fn load(
     progress: &dyn LoadProgress,
 ) -> Result<Opened, SceneError> {
     let opened = match load_sound(listed, options, pinholes, storage, judge) {
-        Err(SceneError::Photo(error @ PhotoError::Decode { .. })) if error.path() == listed.path => {
+        Err(error) if is_of_photo_alone(&error, &listed.path) => {
             Opened { digests: digests_of(listed)?, loaded: Err(error) }
         }
         sound => sound?,
     };
     progress.photo_done();
     Ok(opened)
+}
+
+/// Whether other photos may be used all the same.
+fn is_of_photo_alone(error: &SceneError, file: &Path) -> bool {
+    match error {
+        SceneError::Photo(error @ PhotoError::Decode { .. }) => error.path() == file,
+        SceneError::BadPhoto { photo, .. } => photo == file,
+        _ => false,
+    }
 }
 
 fn load_sound(

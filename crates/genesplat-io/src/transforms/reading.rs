@@ -7,8 +7,8 @@ use super::schema::{OptionalIntrinsics, PhotoEntry};
 use super::{ENDS, Found, camera, with_end};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedDepth, ListedPhoto, Purpose, Wanted, absent_notice, base_name, damaged_notice, inside, lost_poses,
-    path_inside, similar_notice,
+    ListedDepth, ListedPhoto, Purpose, Wanted, absent_notice, base_name, inside, lost_poses, path_inside,
+    similar_notice, unusable_notice,
 };
 use crate::photos::PhotoError;
 use crate::shown;
@@ -126,7 +126,7 @@ impl<'a> Reading<'a> {
             self.scaled(),
             similar_notice(self.similar, self.list),
             absent_notice(&self.missing, all, self.list),
-            damaged_notice(&self.damaged, all),
+            unusable_notice(&self.damaged, all),
             lost,
             unused,
         ];

@@ -228,9 +228,8 @@ fn what_is_not_finite_is_left_out_and_counted_in_both_forms() {
 #[test]
 fn bad_numbers_are_named_in_both_forms() {
     type Spoil = fn(&mut Model);
-    let cases: [(Spoil, &str); 9] = [
+    let cases: [(Spoil, &str); 8] = [
         (|m| m.images[1].rotation = [1e-99; 4], "pose of photo a b/001.png has a rotation that is zero"),
-        (|m| m.points[4].position[2] = -1e25, "point 5 has a position that lies beyond 1e9 world units"),
         (|m| m.images[1].translation[2] = 1e25, "pose of photo a b/001.png lies beyond 1e9 world units"),
         (
             |m| m.cameras.get_mut(&7).unwrap().focal_px[1] = 1e25,

@@ -345,7 +345,7 @@ fn blender_scenes_keep_their_own_split_and_background() {
     let listed = fs::read_to_string(&description).unwrap();
     fs::write(&description, listed.replacen('{', "{\"w\": 32, \"h\": 16, ", 1)).unwrap();
     fs::write(&photo, whole).unwrap();
-    assert!(blames_test(), "of another shape");
+    assert!(blames_test(), "half of all are of another shape");
     fs::write(&description, listed).unwrap();
 
     // Points that the file of the training photos names are taken instead of random ones.
