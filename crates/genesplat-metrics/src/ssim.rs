@@ -52,24 +52,32 @@ fn similarity(mean_x: f64, mean_y: f64, mean_xx: f64, mean_yy: f64, mean_xy: f64
 /// lines that one needs stay in cache.
 fn blur(values: &[f64], width: usize) -> Vec<f64> {
     let (window, border) = (ssim_window(), SSIM_RADIUS * width);
-    let mut line = vec![0.0; width + 2 * SSIM_RADIUS];
-    let mut rows = vec![0.0; values.len() + 2 * border];
+    let mut line = vec![0.0; width + 2 * SSIM_RADIUS + BLOCK];
+    let mut rows = vec![0.0; values.len() + 2 * border + BLOCK];
     for (source, target) in values.chunks_exact(width).zip(rows[border..].chunks_exact_mut(width)) {
         line[SSIM_RADIUS..][..width].copy_from_slice(source);
-        window.iter().enumerate().for_each(|(tap, &weight)| accumulate(target, &line[tap..], weight));
+        weigh(target, &line, 1, &window);
     }
     let mut columns = vec![0.0; values.len()];
     for (y, target) in columns.chunks_exact_mut(width).enumerate() {
-        let rows = &rows[y * width..];
-        window.iter().enumerate().for_each(|(tap, &weight)| accumulate(target, &rows[tap * width..], weight));
+        weigh(target, &rows[y * width..], width, &window);
     }
     columns
 }
 
-/// Adds `weight` times the first values of `source`.
-fn accumulate(target: &mut [f64], source: &[f64], weight: f64) {
-    for (target, source) in target.iter_mut().zip(source) {
-        *target += weight * source;
+/// Values that are summed side by side. Lines have so many more at their ends.
+const BLOCK: usize = 8;
+
+/// Each value of `target` is the weighted sum of those of `source` at its place and every `stride` beyond it,
+/// tap by tap.
+fn weigh(target: &mut [f64], source: &[f64], stride: usize, window: &[f64; 2 * SSIM_RADIUS + 1]) {
+    for (block, target) in target.chunks_mut(BLOCK).enumerate() {
+        let mut sums = [0.0; BLOCK];
+        for (tap, weight) in window.iter().enumerate() {
+            let source = &source[block * BLOCK + tap * stride..][..BLOCK];
+            sums.iter_mut().zip(source).for_each(|(sum, value)| *sum += weight * value);
+        }
+        target.copy_from_slice(&sums[..target.len()]);
     }
 }
 

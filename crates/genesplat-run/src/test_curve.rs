@@ -3,7 +3,7 @@
 //! Training does not see the scores, and the time is billed to neither gradients nor evolution.
 
 use anyhow::Result;
-use genesplat_core::{CloudRenderer, Photo, View};
+use genesplat_core::{CloudRenderer, Image, Photo, View};
 use genesplat_metrics::psnr_under;
 use rayon::prelude::*;
 
@@ -34,21 +34,21 @@ impl<'a> TestCurve<'a> {
         let mut all = Vec::with_capacity(self.views.len());
         // As many renders at a time as there are cores to compare them with their photos.
         for views in self.views.chunks(rayon::current_num_threads()) {
-            let pictures: Vec<Photo> =
-                views.iter().map(|view| self.render(renderer, view)).collect::<Result<_>>()?;
-            let psnr = |(view, picture): (&View, &Photo)| -> Result<f64> {
-                Ok(psnr_under(view.mask.as_deref(), picture, &*view.photo.read()?)?)
+            let images: Vec<Image> =
+                views.iter().map(|view| renderer.render(&view.camera)).collect::<Result<_, _>>()?;
+            let psnr = |(view, image): (&View, Image)| -> Result<f64> {
+                Ok(psnr_under(view.mask.as_deref(), &self.shown(view, image), &*view.photo.read()?)?)
             };
-            all.extend(views.par_iter().zip(&pictures).map(psnr).collect::<Result<Vec<f64>>>()?);
+            all.extend(views.par_iter().zip(images).map(psnr).collect::<Result<Vec<f64>>>()?);
         }
         let mean = all.iter().sum::<f64>() / self.views.len() as f64;
         Ok(mean.is_finite().then_some(mean))
     }
 
-    fn render(&self, renderer: &mut CloudRenderer<'_>, view: &View) -> Result<Photo> {
-        let mut image = renderer.render(&view.camera)?;
+    /// The render as the photo of `view` is expected to be.
+    fn shown(&self, view: &View, mut image: Image) -> Photo {
         let shade = self.light.map_or(Shade::NONE, |light| light.foretold(&view.name));
         shade.put_on(&mut image, &view.camera);
-        Ok(image.to_photo())
+        image.to_photo()
     }
 }

@@ -1,7 +1,10 @@
 //! Contrast of photos, which cameras choose as they choose exposure: one number a photo, the power of the
 //! colours of points that its values follow. Its logarithm has about the mean 0 over training photos.
 
+use rayon::prelude::*;
+
 use super::fit::{Fit, Seen, fit, huber_weights, median, robust_mean};
+use super::of_channels;
 use super::samples::Sample;
 
 /// Times that colours and contrasts are found in turn, and weights for each.
@@ -20,9 +23,9 @@ pub(super) fn find(train: &[Vec<Sample>], test: &[Vec<Sample>], points: usize) -
     let mut of_test = vec![1.0; test.len()];
     for _ in 0..ROUNDS {
         let flat = without(&contrasts, train);
-        let colours = [0, 1, 2].map(|channel| of_channel(&flat, points, channel).colours);
-        contrasts = train.iter().map(|samples| of_photo(samples, &colours)).collect();
-        of_test = test.iter().map(|samples| of_photo(samples, &colours)).collect();
+        let colours = of_channels(|channel| of_channel(&flat, points, channel).colours);
+        contrasts = train.par_iter().map(|samples| of_photo(samples, &colours)).collect();
+        of_test = test.par_iter().map(|samples| of_photo(samples, &colours)).collect();
         // Colours are means, so they vary less than what each photo shows.
         let known = contrasts.iter().zip(train).filter(|(_, samples)| !samples.is_empty());
         let logs: Vec<f64> = known.map(|(contrast, _)| contrast.ln()).collect();

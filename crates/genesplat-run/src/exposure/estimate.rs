@@ -2,7 +2,7 @@
 
 use super::fit::{Seen, colours, fit, robust_mean};
 use super::samples::Sample;
-use super::{PIVOT, contrast, fall_off};
+use super::{PIVOT, contrast, fall_off, of_channels};
 
 /// Fewest samples that tell a photo's gain.
 const SAMPLES_MIN: usize = 20;
@@ -60,7 +60,7 @@ pub(super) fn estimate(train: &[Vec<Sample>], test: &[Vec<Sample>]) -> Option<Es
     };
     let test: Vec<Vec<Sample>> = test.into_iter().zip(&plain_corners).map(as_lens).collect();
     let of = |train: &[Vec<Sample>], test: &[Vec<Sample>]| {
-        [0, 1, 2].map(|channel| of_channel(train, test, points, channel))
+        of_channels(|channel| of_channel(train, test, points, channel))
     };
     let found = contrast::find(&train, &test, points);
     let [plain, flat] =

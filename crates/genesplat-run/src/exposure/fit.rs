@@ -54,11 +54,19 @@ pub(super) fn fit(seen: &[Seen], photos: usize, points: usize) -> Fit {
 
 /// Colours of points where all photos have these gains, by [`robust_mean`].
 pub(super) fn colours(seen: &[Seen], gains: &[f64], points: usize) -> Vec<Option<f64>> {
-    let mut of_points: Vec<Vec<f64>> = vec![Vec::new(); points];
+    // Where the values of each point begin, in one list of all.
+    let mut starts = vec![0; points + 1];
+    seen.iter().for_each(|seen| starts[seen.point as usize + 1] += 1);
+    (0..points).for_each(|point| starts[point + 1] += starts[point]);
+    let (mut next, mut values) = (starts.clone(), vec![0.0; seen.len()]);
     for seen in seen {
-        of_points[seen.point as usize].push(seen.value - gains[seen.photo as usize]);
+        let place = &mut next[seen.point as usize];
+        values[*place] = seen.value - gains[seen.photo as usize];
+        *place += 1;
     }
-    of_points.par_iter().map(|values| robust_mean(values)).collect()
+    let of_point =
+        |scratch: &mut Scratch, point: usize| scratch.robust_mean(&values[starts[point]..starts[point + 1]]);
+    (0..points).into_par_iter().map_init(Scratch::default, of_point).collect()
 }
 
 /// With gains whose mean is 0 over the photos that see something.
@@ -74,31 +82,80 @@ fn centred(seen: &[Seen], mut gains: Vec<f64>, points: usize) -> Fit {
 
 /// The mean of what lies near the median, farther values with less weight; `None` of nothing.
 pub(super) fn robust_mean(values: &[f64]) -> Option<f64> {
-    let mut mean = median(values)?;
-    for _ in 0..ROUNDS {
-        let errors: Vec<f64> = values.iter().map(|value| value - mean).collect();
-        let weights = huber_weights(&errors);
-        let weighted: f64 = errors.iter().zip(&weights).map(|(error, weight)| error * weight).sum();
-        let step = weighted / weights.iter().sum::<f64>();
-        mean += step;
-        if step.abs() < STILL {
-            break;
+    Scratch::default().robust_mean(values)
+}
+
+/// Room for one robust mean after the other.
+#[derive(Default)]
+struct Scratch {
+    errors: Vec<f64>,
+    keys: Vec<i64>,
+}
+
+impl Scratch {
+    fn robust_mean(&mut self, values: &[f64]) -> Option<f64> {
+        let mut mean = self.median(values.iter().copied())?;
+        for _ in 0..ROUNDS {
+            let mut errors = std::mem::take(&mut self.errors);
+            errors.clear();
+            errors.extend(values.iter().map(|value| value - mean));
+            let near = self.near(&errors);
+            let (mut weighted, mut weights) = (0.0, 0.0);
+            for error in &errors {
+                let weight = huber_weight(error.abs(), near);
+                weighted += error * weight;
+                weights += weight;
+            }
+            self.errors = errors;
+            let step = weighted / weights;
+            mean += step;
+            if step.abs() < STILL {
+                break;
+            }
         }
+        Some(mean)
     }
-    Some(mean)
+
+    /// Errors up to this size have the weight 1.
+    fn near(&mut self, errors: &[f64]) -> f64 {
+        let usual = self.median(errors.iter().map(|error| error.abs())).unwrap_or(0.0);
+        HUBER * (MAD_SIGMA * usual).max(SCALE_MIN)
+    }
+
+    fn median(&mut self, values: impl Iterator<Item = f64>) -> Option<f64> {
+        self.keys.clear();
+        self.keys.extend(values.map(key));
+        let middle = self.keys.len() / 2;
+        (!self.keys.is_empty()).then(|| of_key(*self.keys.select_nth_unstable(middle).1))
+    }
+}
+
+/// An integer that is in the order of values ([`f64::total_cmp`]), and is compared faster.
+fn key(value: f64) -> i64 {
+    turned(value.to_bits().cast_signed())
+}
+
+fn of_key(key: i64) -> f64 {
+    f64::from_bits(turned(key).cast_unsigned())
+}
+
+/// The larger a negative number's other bits are, the less it is.
+fn turned(bits: i64) -> i64 {
+    bits ^ ((bits >> 63) & i64::MAX)
 }
 
 pub(super) fn median(values: &[f64]) -> Option<f64> {
-    let mut values = values.to_vec();
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    Scratch::default().median(values.iter().copied())
 }
 
 /// 1 for what is as near as most, less for what is farther.
 pub(super) fn huber_weights(errors: &[f64]) -> Vec<f64> {
-    let sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
-    let near = HUBER * (MAD_SIGMA * median(&sizes).unwrap_or(0.0)).max(SCALE_MIN);
-    sizes.iter().map(|size| if *size <= near { 1.0 } else { near / size }).collect()
+    let near = Scratch::default().near(errors);
+    errors.iter().map(|error| huber_weight(error.abs(), near)).collect()
+}
+
+fn huber_weight(size: f64, near: f64) -> f64 {
+    if size <= near { 1.0 } else { near / size }
 }
 
 /// The weighted least squares of the gains, from which colours are eliminated.
@@ -227,5 +284,6 @@ mod tests {
         assert!((robust_mean(&values).unwrap() - 1.0).abs() < 0.02);
         assert_eq!(robust_mean(&[]), None);
         assert_eq!(robust_mean(&[2.0]), Some(2.0));
+        assert_eq!(median(&[-3.0, 5.0, -0.5, 0.0, -7.0]), Some(-0.5));
     }
 }

@@ -109,27 +109,38 @@ impl Shade {
             return;
         }
         let [width, height] = [image.width, image.height].map(|side| side as usize);
-        for (at, row) in image.planes.chunks_exact_mut(width.max(1)).enumerate() {
-            let factors = of_row(self.fall_off, camera, at % height);
-            row.iter_mut().zip(factors).for_each(|(value, factor)| *value *= factor);
+        for y in 0..height {
+            let factors = of_row(self.fall_off, camera, y);
+            for plane in image.planes.chunks_exact_mut(width * height) {
+                plane[y * width..][..width]
+                    .iter_mut()
+                    .zip(&factors)
+                    .for_each(|(value, factor)| *value *= factor);
+            }
         }
     }
 
     /// The photo of `camera` with its pixels changed.
     pub(crate) fn of_photo(&self, photo: &Photo, camera: &Camera) -> Photo {
-        let raised: Vec<f32> =
-            (0..=255u8).map(|value| 255.0 * (f32::from(value) / 255.0).powf(self.contrast)).collect();
-        let row = |(y, values): (usize, &[u8])| {
-            let along = of_row(self.fall_off, camera, y);
-            let pixels = values.as_chunks::<3>().0.iter().zip(along);
-            let pixel = |(rgb, along): (&[u8; 3], f32)| {
-                [0, 1, 2]
-                    .map(|channel| rounded(raised[usize::from(rgb[channel])] * along * self.factors[channel]))
-            };
-            pixels.flat_map(pixel).collect::<Vec<u8>>()
-        };
-        let rows = photo.rgb.chunks_exact(3 * photo.width as usize).enumerate();
-        Photo { rgb: rows.flat_map(row).collect(), ..*photo }
+        let raised: [f32; 256] =
+            std::array::from_fn(|value| 255.0 * (value as f32 / 255.0).powf(self.contrast));
+        let mut rgb = photo.rgb.clone();
+        let pixels = rgb.as_chunks_mut::<3>().0;
+        if self.fall_off == 0.0 {
+            let tables = self.factors.map(|factor| raised.map(|value| rounded(value * factor)));
+            for pixel in pixels {
+                *pixel = std::array::from_fn(|channel| tables[channel][usize::from(pixel[channel])]);
+            }
+            return Photo { rgb, ..*photo };
+        }
+        for (y, row) in pixels.chunks_exact_mut(photo.width as usize).enumerate() {
+            for (pixel, along) in row.iter_mut().zip(of_row(self.fall_off, camera, y)) {
+                let value =
+                    |channel: usize| raised[usize::from(pixel[channel])] * along * self.factors[channel];
+                *pixel = std::array::from_fn(|channel| rounded(value(channel)));
+            }
+        }
+        Photo { rgb, ..*photo }
     }
 }
 
@@ -138,8 +149,10 @@ pub(super) fn times(value: u8, factor: f32) -> u8 {
     rounded(f32::from(value) * factor)
 }
 
+/// To the nearest, halves upwards, as [`f32::round`] does, which is a call.
 fn rounded(value: f32) -> u8 {
-    value.round().clamp(0.0, 255.0) as u8
+    let whole = value as u8;
+    whole.saturating_add(u8::from(value - f32::from(whole) >= 0.5))
 }
 
 /// A photo in a shade, for who looks at few.

@@ -46,6 +46,12 @@ const DARK_MIN: f32 = 0.4;
 /// The value, of 1, that contrast leaves as it is.
 const PIVOT: f32 = 0.35;
 
+/// Of red, green and blue, side by side.
+fn of_channels<T: Send>(of: impl Fn(usize) -> T + Sync) -> [T; 3] {
+    let (red, (green, blue)) = rayon::join(|| of(0), || rayon::join(|| of(1), || of(2)));
+    [red, green, blue]
+}
+
 /// Whether photos are brought to one exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
