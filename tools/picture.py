@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Makes README's picture: a held-out photo, a published method and ours, and crops of where they differ most.
 
-    genesplat train plush --out PUBLISHED --method 3dgs --iterations 7000 --max-side 480
-    genesplat train plush --out OURS --iterations 7000 --max-side 480
+    genesplat train plush --out PUBLISHED --method 3dgs --iterations 7000 --max-side 480 --corrections off
+    genesplat train plush --out OURS --iterations 7000 --max-side 480 --corrections off
     tools/picture.py plush/images PUBLISHED OURS docs/images/plush.jpg [NAME]
 
 NAME is the photo, without its ending; without it the one on which ours gains most is taken. Needs pillow and numpy.

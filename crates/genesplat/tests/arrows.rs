@@ -227,7 +227,7 @@ const WORDS_MAX: usize = 15_000;
 #[test]
 fn documents_for_readers_are_short() {
     let is_diary = |path: &PathBuf| path.parent().is_some_and(|folder| folder.ends_with("lab"));
-    let others = ["fuzz/README.md", "crates/genesplat/assets/README.md"].map(|name| root().join(name));
+    let others = ["fuzz/README.md", "crates/genesplat-python/README.md"].map(|name| root().join(name));
     let words = |path: PathBuf| std::fs::read_to_string(path).expect("a document").split_whitespace().count();
     let all: usize = documents().into_iter().filter(|path| !is_diary(path)).chain(others).map(words).sum();
     assert!(all > WORDS_MAX / 2, "{all} words: documents are found");

@@ -165,7 +165,7 @@ pub(crate) struct ScheduleArgs {
     /// Train at most this many Gaussians, from the first step on [default: with genesplat the cloud grows to
     /// as many as the photos can determine, and a denser cloud of points is thinned; else no limit, but
     /// 1000000 with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds memory (2 to
-    /// 4 KB a Gaussian) and time
+    /// 2.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
