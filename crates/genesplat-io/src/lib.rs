@@ -38,5 +38,5 @@ pub use scene::{
     load_scene, mask_beside, model_of, replace_photos, scene_digests,
 };
 pub use shown::{command_line, plural, shown};
-pub use similar::{PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, convert, ending, is_transforms};
+pub use similar::{PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, convert, ending, is_part_of_scene, is_transforms};
 pub use visited::Visited;

@@ -20,7 +20,7 @@ use crate::offset::Offset;
 use crate::photos::{Cut, Lens, part_names};
 use crate::scene::{Cube, Doubt, Point, Sight, mask_beside};
 use crate::similar::{PHOTO_ENDINGS, Similar, UNREAD, convert, entries, has_ending, photos_in};
-use crate::{names, plural, shown};
+use crate::{command_line, names, plural, shown};
 
 pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
@@ -30,8 +30,6 @@ pub(crate) struct Listing {
     pub(crate) has_points: bool,
     /// Of the points that the scene itself has, once they are wanted.
     pub(crate) points_digest: Option<Digest>,
-    /// The file that the points are from, or that names none, for errors.
-    pub(crate) points_file: PathBuf,
     /// Where random points lie, if this is known; else it follows from the cameras.
     pub(crate) cube: Option<Cube>,
     pub(crate) notices: Vec<String>,
@@ -43,11 +41,15 @@ pub(crate) struct Listing {
 
 /// What is asked for beside photos.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Wanted {
+pub(crate) struct Wanted<'a> {
     pub(crate) points: bool,
     pub(crate) tracks: bool,
     pub(crate) masks: bool,
     pub(crate) depth: bool,
+    /// A folder of photos in the place of where a `transforms.json` has them.
+    pub(crate) images: Option<&'a Path>,
+    /// Whether a `transforms.json` itself says which photos are for testing.
+    pub(crate) splits: bool,
     pub(crate) frame: Frame,
 }
 
@@ -132,12 +134,18 @@ impl Listing {
 
     /// Random points, for a scene that has none.
     pub(crate) fn draw_points(&mut self, seed: u64) {
+        let own = self.points.len();
         let cameras: Vec<Camera> = self.photos.iter().map(|photo| photo.camera).collect();
         let are_round = self.photos.iter().all(|photo| photo.lens.as_ref().is_some_and(Lens::is_round));
         let seen = || if are_round { Cube::around(&cameras) } else { Cube::seen_by(&cameras) };
         self.points = self.cube.unwrap_or_else(seen).points(seed);
         let count = self.points.len();
-        self.notices.push(format!("the scene has no points, so training starts from {count} random ones"));
+        let own = if own == 0 {
+            "no points".to_owned()
+        } else {
+            format!("only {own} {}", plural(own, "point", "points"))
+        };
+        self.notices.push(format!("the scene has {own}, so training starts from {count} random ones"));
     }
 
     /// Fails where two entries have found the same file: the photo of one of them is not where its list says.
@@ -378,8 +386,11 @@ impl LeftOut {
     }
 }
 
-/// What lies beside the photos that were `found`, and is not in their list.
-pub(crate) fn left_out<'a>(found: impl Iterator<Item = &'a Path> + Clone) -> Option<LeftOut> {
+/// What lies beside the photos that were `found`, and is not in their list, nor one of these `others`.
+pub(crate) fn left_out<'a>(
+    found: impl Iterator<Item = &'a Path> + Clone,
+    others: &HashSet<&Path>,
+) -> Option<LeftOut> {
     let folders: BTreeSet<&Path> = found.clone().filter_map(Path::parent).collect();
     let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
     let there: Vec<PathBuf> = folders.into_iter().flat_map(photos_in).collect();
@@ -388,7 +399,8 @@ pub(crate) fn left_out<'a>(found: impl Iterator<Item = &'a Path> + Clone) -> Opt
     let is_used = |photo: &Path| {
         [photo.file_stem(), photo.file_name()].into_iter().flatten().any(|name| stems.contains(name))
     };
-    let there: Vec<PathBuf> = there.into_iter().filter(|photo| !masks.contains(photo)).collect();
+    let is_other = |photo: &PathBuf| masks.contains(photo) || others.contains(&**photo);
+    let there: Vec<PathBuf> = there.into_iter().filter(|photo| !is_other(photo)).collect();
     let left_out: Vec<&PathBuf> = there.iter().filter(|photo| !is_used(photo)).collect();
     let first = left_out.iter().min()?.to_path_buf();
     Some(LeftOut { count: left_out.len(), all: there.len(), first })
@@ -434,7 +446,11 @@ pub(crate) fn all_missing(
     let remedy = match (elsewhere, first(&PHOTO_ENDINGS), first(&UNREAD)) {
         (Some(elsewhere), ..) => {
             let Elsewhere { path, given } = elsewhere;
-            format!("; {} has photos of these names, so give --images {}", shown(path), shown(given))
+            format!(
+                "; {} has photos of these names, so give {}",
+                shown(path),
+                command_line([Path::new("--images"), given])
+            )
         }
         (_, Some(found), _) => {
             format!(

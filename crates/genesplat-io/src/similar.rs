@@ -17,12 +17,15 @@ pub const VIDEO_ENDINGS: [&str; 15] = [
 ];
 
 /// Endings of pictures that are not, so that leaving them out is said.
-pub const UNREAD: [&str; 11] =
-    ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
+pub const UNREAD: [&str; 15] = [
+    "heic", "heif", "hif", "avif", "tif", "tiff", "bmp", "gif", "tga", "jp2", "dng", "cr2", "cr3", "nef",
+    "arw",
+];
 
 /// Those of the raw pictures of cameras.
 const RAW: [&str; 5] = ["dng", "cr2", "cr3", "nef", "arw"];
-const TIFF: [&str; 2] = ["tif", "tiff"];
+/// What any image program reads.
+const PLAIN: [&str; 6] = ["tif", "tiff", "bmp", "gif", "tga", "jp2"];
 
 /// What to do with pictures that are not read, one of which is called `name`.
 pub fn convert(name: impl AsRef<Path>) -> &'static str {
@@ -30,7 +33,7 @@ pub fn convert(name: impl AsRef<Path>) -> &'static str {
         name if has_ending(name, &RAW) => {
             "develop them to JPEG, all with the same settings, with the program of the camera or any other for raw pictures"
         }
-        name if has_ending(name, &TIFF) => "convert them to PNG or JPEG with any image program",
+        name if has_ending(name, &PLAIN) => "convert them to PNG or JPEG with any image program",
         _ => {
             "convert them to JPEG, with `heif-convert` or any image program (phones that are set to \"most compatible\" take \
              JPEG themselves)"
@@ -49,6 +52,16 @@ pub fn is_transforms(name: &str) -> bool {
     name.starts_with("transforms") && name.ends_with(".json")
 }
 
+/// Whether a file of this name is of those that describe a scene: nerfstudio's and Blender's, or COLMAP's.
+pub fn is_part_of_scene(file: &Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let is_model = has_ending(file, &["bin", "txt"])
+        && ["cameras", "images", "points3D"]
+            .iter()
+            .any(|part| file.file_stem().is_some_and(|stem| stem == *part));
+    is_transforms(&name) || is_model
+}
+
 pub(crate) fn has_ending(path: &Path, endings: &[&str]) -> bool {
     endings.contains(&ending(path).as_str())
 }
@@ -60,7 +73,12 @@ pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
 
 /// What lies in a folder and is called like a photo; a link to what is gone is none.
 pub(crate) fn photos_in(folder: &Path) -> impl Iterator<Item = PathBuf> {
-    entries(folder).filter(|entry| has_ending(entry, &PHOTO_ENDINGS) && entry.exists())
+    entries(folder).filter(|entry| has_ending(entry, &PHOTO_ENDINGS) && !is_hidden(entry) && entry.exists())
+}
+
+/// macOS puts `._NAME` beside each file on a disk that is not its own.
+fn is_hidden(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
 }
 
 /// The folder `path`, or the only one that differs from it in case.

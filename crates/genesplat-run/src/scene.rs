@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::num::NonZeroUsize;
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use genesplat_core::View;
 use genesplat_io::{Doubt, LoadOptions, Offset, PHOTO_ENDINGS, Point, Scene, Spill, load_scene, plural};
 use genesplat_train::scene::initialise::ColouredPoint;
@@ -15,7 +15,7 @@ use crate::far;
 use crate::output;
 use crate::output::LoadBar;
 use crate::preparing;
-use crate::settings::Dataset;
+use crate::settings::{Dataset, DepthUse};
 
 /// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are
 /// trained.
@@ -37,7 +37,14 @@ pub fn load(
 ) -> Result<Scene> {
     let with_tracks = dataset.corrections != Corrections::Off;
     let options = LoadOptions { seed, spill, offset, with_tracks, with_depth, ..dataset.options() };
-    told(read(&dataset.path, background, options))
+    let scene = told(read(&dataset.path, background, options))?;
+    let has_depth = scene.train.iter().any(|view| view.depth.is_some());
+    ensure!(
+        has_depth || dataset.depth != DepthUse::On,
+        "no photo has a depth map that can be used; they are looked for under the depth_file_path of transforms.json and in \
+         stereo/depth_maps; leave out --depth on"
+    );
+    Ok(scene)
 }
 
 /// Points far away that training starts from beside those of `scene`, and says so. Published methods have

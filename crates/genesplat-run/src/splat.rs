@@ -360,7 +360,8 @@ pub fn coarse_steps(step: f64, cloud: &Gaussians) -> Option<String> {
     (step > size).then(|| {
         format!(
             "its coordinates have steps of {step:.3} world units, and half of its Gaussians are smaller than {size:.3}, so they lie \
-             on a grid; write it anew from a source in double precision"
+             on a grid: Gaussians far away make steps large, so leave them out (`convert --crop`), or write it anew from a source in \
+             double precision"
         )
     })
 }

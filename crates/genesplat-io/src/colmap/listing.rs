@@ -1,6 +1,6 @@
 //! A model's photos, joined with their cameras and found on the disk.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -58,7 +58,11 @@ impl PhotoFolder {
 }
 
 /// Lists the photos and, if they are wanted, the points and who sees them of the model in `folder`.
-pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) -> Result<Listing, SceneError> {
+pub(crate) fn list(
+    folder: &ModelFolder,
+    given: &PhotoFolder,
+    wanted: Wanted<'_>,
+) -> Result<Listing, SceneError> {
     let mut model = read_photos(folder)?;
     let list = folder.form.file(&folder.path, "images");
     let folders = given.all(&list);
@@ -74,7 +78,7 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
         notices.push(format!("the photos are those in {}, beside their list", shown(&image_folder)));
     }
     let photos = find_photos(&model.images, &image_folder, &list, &mut notices)?;
-    let left_out = left_out(photos.iter().map(|(_, path)| &**path));
+    let left_out = left_out(photos.iter().map(|(_, path)| &**path), &HashSet::new());
     if !is_one_of_several {
         notices.extend(left_out.as_ref().and_then(|left_out| left_out.notice(&list)));
     }
@@ -93,9 +97,9 @@ pub(crate) fn list(folder: &ModelFolder, given: &PhotoFolder, wanted: Wanted) ->
     let moved = move_cameras(&mut photos, wanted.frame);
     let points = if wanted.points { read_points(folder, moved.by)? } else { Finite::none() };
     notices.extend(points.notice);
-    let (points, points_digest, points_file) = (points.records, None, points_file(folder));
-    let has_points = if wanted.points { !points.is_empty() } else { has_points(&points_file) };
-    Ok(Listing { photos, points, has_points, points_digest, points_file, cube: None, notices, doubts, moved })
+    let (points, points_digest) = (points.records, None);
+    let has_points = if wanted.points { !points.is_empty() } else { has_points(&points_file(folder)) };
+    Ok(Listing { photos, points, has_points, points_digest, cube: None, notices, doubts, moved })
 }
 
 /// What a photo by `camera` sees, without the lens.

@@ -35,22 +35,43 @@ pub(super) enum Fit {
     Other,
 }
 
-/// Compares inverse depths of a map with those of points at the same pixels.
-pub(super) fn fit(pairs: &[[f64; 2]]) -> Fit {
+/// Of points that may be hidden, at least this part must lie where the map is, or before it.
+const SEEN: f64 = 0.2;
+
+/// Compares inverse depths of a map with those of points at the same pixels, which are known to be seen there or
+/// not.
+pub(super) fn fit(pairs: &[[f64; 2]], are_seen: bool) -> Fit {
     if pairs.len() < PAIRS_MIN {
         return Fit::Unknown;
+    }
+    if !are_seen && is_same_where_seen(pairs) {
+        return Fit::Same;
     }
     let same = median_off(pairs, 1.0, 0.0);
     let line = line(pairs).filter(|&(scale, shift)| median_off(pairs, scale, shift) < (1.0 - BETTER) * same);
     let (scale, shift) = line.unwrap_or((1.0, 0.0));
+    if !shows(pairs, scale, shift) {
+        return Fit::Other;
+    }
+    line.map_or(Fit::Same, |(scale, shift)| Fit::Line { scale, shift })
+}
+
+/// Whether the map has the unit of the scene, leaving out the points behind what it shows: of a closed thing
+/// most are on its other side.
+fn is_same_where_seen(pairs: &[[f64; 2]]) -> bool {
+    let seen: Vec<[f64; 2]> = pairs.iter().copied().filter(|[map, point]| point / map > 1.0 - NEAR).collect();
+    let enough = PAIRS_MIN.max((SEEN * pairs.len() as f64) as usize);
+    let agree = seen.iter().filter(|[map, point]| (map / point - 1.0).abs() < NEAR).count();
+    seen.len() >= enough && 2 * agree >= seen.len() && shows(&seen, 1.0, 0.0)
+}
+
+/// Whether the map shows the points with this line, and not just one depth for all.
+fn shows(pairs: &[[f64; 2]], scale: f64, shift: f64) -> bool {
     let agree = pairs.iter().filter(|[map, point]| ((scale * map + shift) / point - 1.0).abs() < NEAR);
     let usual = middle(pairs.iter().map(|[_, point]| *point));
     let spread = median_off(pairs, 0.0, usual);
     let tells_nothing = spread > SPREAD * usual && median_off(pairs, scale, shift) > (1.0 - BETTER) * spread;
-    if tells_nothing || (agree.count() as f64) < AGREED * pairs.len() as f64 {
-        return Fit::Other;
-    }
-    line.map_or(Fit::Same, |(scale, shift)| Fit::Line { scale, shift })
+    !tells_nothing && agree.count() as f64 >= AGREED * pairs.len() as f64
 }
 
 fn median_off(pairs: &[[f64; 2]], scale: f64, shift: f64) -> f64 {
@@ -110,16 +131,16 @@ mod tests {
 
     #[test]
     fn maps_in_the_unit_of_the_scene_stay() {
-        assert_eq!(fit(&pairs(200, 1000, |inverse| inverse)), Fit::Same);
-        assert_eq!(fit(&pairs(200, 4, |inverse| inverse)), Fit::Same);
-        assert_eq!(fit(&pairs(29, 1000, |inverse| inverse)), Fit::Unknown);
+        assert_eq!(fit(&pairs(200, 1000, |inverse| inverse), true), Fit::Same);
+        assert_eq!(fit(&pairs(200, 4, |inverse| inverse), true), Fit::Same);
+        assert_eq!(fit(&pairs(29, 1000, |inverse| inverse), true), Fit::Unknown);
     }
 
     #[test]
     fn scale_and_shift_come_back_though_points_are_hidden() {
         for behind in [1000, 4, 3] {
             // What a network says: the scene is 0.37 times that, and 0.1.
-            let Fit::Line { scale, shift } = fit(&pairs(300, behind, |inverse| (inverse - 0.1) / 0.37))
+            let Fit::Line { scale, shift } = fit(&pairs(300, behind, |inverse| (inverse - 0.1) / 0.37), true)
             else {
                 panic!("one in {behind}")
             };
@@ -127,15 +148,27 @@ mod tests {
         }
     }
 
+    /// As of a ball, of whose points more than half are on the side that a photo does not see.
+    #[test]
+    fn points_behind_what_a_map_shows_are_no_witnesses_where_they_may_be_hidden() {
+        let mut ball = pairs(200, 1000, |inverse| inverse);
+        ball.extend(pairs(300, 1, |inverse| inverse));
+        assert_eq!([true, false].map(|are_seen| fit(&ball, are_seen)), [Fit::Other, Fit::Same]);
+        // In thousandths, all of them lie behind.
+        let thousandths: Vec<[f64; 2]> = ball.iter().map(|[map, point]| [1000.0 * map, *point]).collect();
+        assert!(fit(&thousandths, false) != Fit::Same);
+    }
+
     #[test]
     fn a_wall_has_a_scale() {
         let wall: Vec<[f64; 2]> = (0..50).map(|_| [2.0, 0.5]).collect();
-        assert_eq!(fit(&wall), Fit::Line { scale: 0.25, shift: 0.0 });
+        assert_eq!(fit(&wall, true), Fit::Line { scale: 0.25, shift: 0.0 });
     }
 
     #[test]
     fn a_map_of_something_else_is_noticed() {
         let others: Vec<[f64; 2]> = (0..300).map(|i| [uniform(i, 0) + 0.02, uniform(i, 1) + 0.02]).collect();
-        assert_eq!(fit(&others), Fit::Other);
+        assert_eq!(fit(&others, true), Fit::Other);
+        assert_eq!(fit(&others, false), Fit::Other);
     }
 }

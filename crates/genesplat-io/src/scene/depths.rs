@@ -137,7 +137,7 @@ pub(super) fn load(
         return Ok((Outcome::Cut, Some(digest)));
     };
     depths.iter_mut().for_each(|depth| *depth *= *unit as f32);
-    let found = fit(&judge.pairs(&listed.name, view, &depths));
+    let found = fit(&judge.pairs(&listed.name, view, &depths), judge.seen.contains_key(&listed.name));
     match found {
         Fit::Other => return Ok((Outcome::Used(found), Some(digest))),
         Fit::Line { scale, shift } => {

@@ -43,6 +43,17 @@ impl MaskUse {
     pub(super) fn notices(self, found: Found) -> Vec<String> {
         let Found { photos, masked, transparent } = found;
         let mut notices = Vec::new();
+        let asked = match self {
+            Self::Ignore => Some("ignore"),
+            Self::Transparent => Some("transparent"),
+            Self::Usual | Self::Off => None,
+        };
+        if let (0, Some(asked)) = (masked + transparent, asked) {
+            notices.push(format!(
+                "no photo has a mask or is transparent, so --mask {asked} changes nothing: masks are looked for in `masks`, \
+                 under the names of the photos"
+            ));
+        }
         if masked > 0 {
             notices.push(match self {
                 Self::Usual | Self::Ignore | Self::Off => {

@@ -438,14 +438,17 @@ fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<
 }
 
 /// What is wanted of the scene in this folder.
-fn wanted(scene: &Path, options: &LoadOptions) -> Result<Wanted, SceneError> {
+fn wanted<'a>(scene: &Path, options: &'a LoadOptions) -> Result<Wanted<'a>, SceneError> {
     let already = offset::of_scene(scene)?;
     let frame = Frame { asked: options.offset, already };
     // COLMAP's own maps are judged by the points that each photo sees.
     let has_dense = options.with_depth && scene.join(depths::DENSE).is_dir();
     let tracks = options.with_points && (options.with_tracks || has_dense);
     let (points, masks, depth) = (options.with_points, options.mask != MaskUse::Off, options.with_depth);
-    Ok(Wanted { points, tracks, masks, depth, frame })
+    let is_usual = options.image_folder == LoadOptions::default().image_folder;
+    let images = (!is_usual).then_some(&*options.image_folder);
+    let splits = options.hold_out == HoldOut::EveryEighth;
+    Ok(Wanted { points, tracks, masks, depth, images, splits, frame })
 }
 
 /// Fails where one of these folders is there and must not be read.
@@ -458,36 +461,51 @@ fn check_readable(folders: [&Path; 4]) -> Result<(), SceneError> {
     })
 }
 
-/// `listing` with the names of its views, and points to start from. Too few points are an error here already:
-/// training would find it out only after the photos are decoded.
+/// `listing` with the names of its views, and points to start from: random ones where it has too few.
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene, options.mask);
     if options.with_depth {
         depths::find(&mut listing, scene);
     }
     listing.notices.extend(precision::check(&listing)?);
+    listing.notices.extend(off_centre(&listing));
     listing.set_near(options.near);
     listing.check_not_shared()?;
     listing.name_views()?;
     listing.notices.extend(stray::notice(&listing));
-    listing.points_digest = options.with_points.then(|| digests::of_points(&listing.points));
-    if options.with_points && listing.points.is_empty() {
+    let has_enough = listing.points.len() >= POINTS_MIN;
+    let own = if has_enough { &listing.points[..] } else { &[] };
+    listing.points_digest = options.with_points.then(|| digests::of_points(own));
+    if options.with_points && !has_enough {
         listing.draw_points(options.seed);
-    }
-    let points = listing.points.len();
-    if options.with_points && points < POINTS_MIN {
-        let problem = format!(
-            "has {points} points, and training starts from at least {POINTS_MIN}; the reconstruction failed, so run \
-             it again"
-        );
-        return Err(SceneError::invalid(&listing.points_file, problem));
     }
     Ok(listing)
 }
 
+/// Photos whose middle, as their lists have it, lies outside of them.
+fn off_centre(listing: &Listing) -> Option<String> {
+    let is_off = |photo: &&ListedPhoto| {
+        let (camera, [x, y]) = (&photo.camera, photo.camera.principal_px);
+        !(0.0..=f64::from(camera.width)).contains(&x) || !(0.0..=f64::from(camera.height)).contains(&y)
+    };
+    let first = listing.photos.iter().find(is_off)?;
+    let count = listing.photos.iter().filter(is_off).count();
+    let have = plural(count, "photo has its principal point", "photos have their principal points");
+    let (first, list) = (shown(&first.name), shown(&*first.list));
+    Some(format!(
+        "{count} {have} outside of {}, first {first}: {list} may be of photos of another size, or of cut ones",
+        plural(count, "it", "them")
+    ))
+}
+
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let others =
+        ["transforms_train.json", "transforms.json"].into_iter().find(|name| path.join(name).is_file());
     if let Some(model) = colmap::find_model(path) {
-        return of_model(&model, path, options);
+        let mut listing = of_model(&model, path, options)?;
+        let notice = |other| format!("cameras are those of {}, and {other} is not read", shown(&model.path));
+        listing.notices.extend(others.map(notice));
+        return Ok(listing);
     }
     if path.join("transforms_train.json").is_file() {
         return transforms::list_blender(path, wanted(path, options)?);

@@ -23,6 +23,20 @@ pub(super) fn is_known(entry: &PhotoEntry) -> bool {
     !is_zero && entry.transform_matrix.iter().flatten().all(|value| value.is_finite())
 }
 
+/// Turns poses that are written column by column, as their translations in the last row tell: all of them, or
+/// none. Whether they were.
+pub(super) fn turn_columns(entries: &mut [PhotoEntry]) -> bool {
+    let fits = |entry: &PhotoEntry| matches!(&*entry.transform_matrix, [x, y, z, last] if [x[3], y[3], z[3], last[3]] == [0.0, 0.0, 0.0, 1.0]);
+    let is_moved = |entry: &PhotoEntry| entry.transform_matrix[3][..3] != [0.0; 3];
+    let is_turned = entries.iter().all(fits) && entries.iter().any(is_moved);
+    for entry in entries.iter_mut().filter(|_| is_turned) {
+        let columns = entry.transform_matrix.clone();
+        let row = |row: usize| std::array::from_fn(|column: usize| columns[column][row]);
+        entry.transform_matrix = (0..4).map(row).collect();
+    }
+    is_turned
+}
+
 /// By how much all poses are scaled, beside their rotation; 1 where they are not, or each by its own.
 pub(super) fn common_scale<'a>(entries: impl Iterator<Item = &'a PhotoEntry>) -> f64 {
     let scale = |entry: &PhotoEntry| Some(columns(entry)?.determinant().cbrt());
@@ -146,6 +160,9 @@ fn pose(list: &Path, entry: &PhotoEntry, scale: f64) -> Result<(DQuat, DVec3), S
     let centre = DVec3::from_array([0, 1, 2].map(|row| entry.transform_matrix[row][3]));
     if !world_from_gl.is_finite() {
         return Err(bad("is not finite"));
+    }
+    if entry.transform_matrix.get(3).is_some_and(|last| last[..3] != [0.0; 3]) {
+        return Err(bad("has a last row that is not 0 0 0 1"));
     }
     if let Some(problem) = position_problem(centre.into()) {
         return Err(bad(problem));

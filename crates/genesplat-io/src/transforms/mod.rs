@@ -20,7 +20,8 @@ use self::splits::Splits;
 use crate::colmap::Finite;
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, Wanted, all_missing, base_name, inside, no_photos, path_inside, separate,
+    ListedPhoto, Listing, Purpose, Wanted, all_missing, base_name, inside, left_out, no_photos, path_inside,
+    separate,
 };
 use crate::offset::Offset;
 use crate::scene::precision::move_cameras;
@@ -34,11 +35,12 @@ const BESIDE: [&str; 4] = ["sparse_pc.ply", "pointcloud.ply", "points3D.ply", "p
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
-pub(crate) fn list_blender(folder: &Path, wanted: Wanted) -> Result<Listing, SceneError> {
+pub(crate) fn list_blender(folder: &Path, wanted: Wanted<'_>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
     let mut found = read_photos(&list, Some(Purpose::Unsaid), wanted)?;
     if test.is_file() {
+        // It may be empty: some programs ask for the file.
         found.add(read_photos(&test, Some(Purpose::Test), wanted)?);
     }
     let listing = found.into_listing(wanted)?;
@@ -47,8 +49,17 @@ pub(crate) fn list_blender(folder: &Path, wanted: Wanted) -> Result<Listing, Sce
 }
 
 /// The scene of `folder/transforms.json`.
-pub(crate) fn list_nerfstudio(folder: &Path, wanted: Wanted) -> Result<Listing, SceneError> {
-    read_photos(&folder.join("transforms.json"), None, wanted)?.into_listing(wanted)
+pub(crate) fn list_nerfstudio(folder: &Path, wanted: Wanted<'_>) -> Result<Listing, SceneError> {
+    let list = folder.join("transforms.json");
+    let mut listing = read_photos(&list, None, wanted)?.into_listing(wanted)?;
+    let others = listing.photos.iter().flat_map(|photo| {
+        photo.mask.as_deref().into_iter().chain(photo.depth.as_ref().map(|depth| &*depth.path))
+    });
+    if let Some(left_out) = left_out(listing.photos.iter().map(|photo| &*photo.path), &others.collect()) {
+        listing.notices.extend(left_out.notice(&list));
+        listing.doubts.extend(left_out.doubt(&list));
+    }
+    Ok(listing)
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -76,18 +87,17 @@ impl Found {
     }
 
     /// With the points that the file names.
-    fn into_listing(mut self, wanted: Wanted) -> Result<Listing, SceneError> {
+    fn into_listing(mut self, wanted: Wanted<'_>) -> Result<Listing, SceneError> {
         if let (true, Some(wanted)) = (self.photos.is_empty(), self.missing.first()) {
             return Err(all_missing(wanted, self.missing.len(), &self.list, None));
         }
         let moved = move_cameras(&mut self.photos, wanted.frame);
-        let OfPoints { points, has_points, points_file } = self.points_of(wanted.points, moved.by)?;
+        let OfPoints { points, has_points } = self.points_of(wanted.points, moved.by)?;
         Ok(Listing {
             photos: self.photos,
             points,
             has_points,
             points_digest: None,
-            points_file,
             cube: None,
             notices: self.notices,
             doubts: Vec::new(),
@@ -98,7 +108,7 @@ impl Found {
     /// The points that the file names, or those of a file that lies where others put it, less `offset`.
     fn points_of(&mut self, with_points: bool, offset: Offset) -> Result<OfPoints, SceneError> {
         let folder = self.list.parent().unwrap_or(Path::new("")).to_owned();
-        let mut points_file = match &self.points {
+        let points_file = match &self.points {
             Some(name) => {
                 let inside = path_inside(name).ok_or_else(|| points_outside(&self.list, name))?;
                 similar::file(&folder.join(inside))
@@ -129,10 +139,9 @@ impl Found {
                     "training starts from the points of {}, which the scene does not name",
                     shown(&file)
                 ));
-                points_file = file;
             }
         }
-        Ok(OfPoints { points, has_points, points_file })
+        Ok(OfPoints { points, has_points })
     }
 
     fn read_points(&mut self, file: &Path, offset: Offset) -> Result<Vec<Point>, SceneError> {
@@ -147,8 +156,6 @@ struct OfPoints {
     /// None where none are wanted.
     points: Vec<Point>,
     has_points: bool,
-    /// The file that they are from, or that names none.
-    points_file: PathBuf,
 }
 
 fn points_outside(list: &Path, name: &str) -> SceneError {
@@ -162,14 +169,16 @@ fn points_outside(list: &Path, name: &str) -> SceneError {
 const DEPTH_UNIT: f64 = 1e-3;
 
 /// What the file `list` lists. Each photo has this `purpose`; without one, what the file's own lists say.
-fn read_photos(list: &Path, purpose: Option<Purpose>, wanted: Wanted) -> Result<Found, SceneError> {
+fn read_photos(list: &Path, purpose: Option<Purpose>, wanted: Wanted<'_>) -> Result<Found, SceneError> {
     let mut file = schema::read(list)?;
-    if file.frames.is_empty() {
+    if file.frames.is_empty() && purpose != Some(Purpose::Test) {
         return Err(no_photos(list));
     }
+    let is_turned = camera::turn_columns(&mut file.frames);
     let folder = list.parent().unwrap_or(Path::new(""));
     file.names_mut().for_each(|(usual, name)| settle(name, folder, usual));
-    let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
+    let has_splits = purpose.is_none() && wanted.splits;
+    let splits = has_splits.then(|| Splits::of(&file, list)).transpose()?;
     let scale = camera::common_scale(file.frames.iter());
     let depth_unit = file.depth_unit_scale_factor.unwrap_or(DEPTH_UNIT);
     let mut reading = Reading::of(list, folder, wanted, scale, depth_unit);
@@ -178,7 +187,12 @@ fn read_photos(list: &Path, purpose: Option<Purpose>, wanted: Wanted) -> Result<
         let purpose = purpose.or(listed).unwrap_or_default();
         reading.add(entry, &entry.intrinsics.or(&file.intrinsics), purpose)?;
     }
-    reading.finish(file.ply_file_path.clone())
+    let mut found = reading.finish(file.ply_file_path.filter(|name| !name.is_empty()))?;
+    if is_turned {
+        let list = shown(list);
+        found.notices.push(format!("all poses of {list} are written column by column, and are read so"));
+    }
+    Ok(found)
 }
 
 /// The cameras that the `text` of `list` describes, all of whose rules they have met; photos are looked at

@@ -12,13 +12,13 @@ use crate::listing::{
 };
 use crate::photos::PhotoError;
 use crate::shown;
-use crate::similar::Similar;
+use crate::similar::{self, Similar};
 
 /// What is read, and what was found so far.
 pub(super) struct Reading<'a> {
     pub(super) list: &'a Path,
     pub(super) folder: &'a Path,
-    pub(super) wanted: Wanted,
+    pub(super) wanted: Wanted<'a>,
     /// [`camera::common_scale`]
     pub(super) scale: f64,
     /// World units of what depth maps hold.
@@ -37,7 +37,13 @@ pub(super) struct Reading<'a> {
 
 impl<'a> Reading<'a> {
     /// Nothing so far, of the file `list` in `folder`.
-    pub(super) fn of(list: &'a Path, folder: &'a Path, wanted: Wanted, scale: f64, depth_unit: f64) -> Self {
+    pub(super) fn of(
+        list: &'a Path,
+        folder: &'a Path,
+        wanted: Wanted<'a>,
+        scale: f64,
+        depth_unit: f64,
+    ) -> Self {
         Self {
             list,
             folder,
@@ -66,7 +72,7 @@ impl<'a> Reading<'a> {
             return Ok(());
         }
         let Some((name, path)) = self.find_photo(&relative, &entry.file_path) else {
-            self.missing.push(self.folder.join(relative));
+            self.missing.push(self.place(&relative));
             return Ok(());
         };
         let (camera, lens) = match camera::camera(self.list, entry, intrinsics, &path, self.scale) {
@@ -76,7 +82,7 @@ impl<'a> Reading<'a> {
             }
             known => known?,
         };
-        let mask = entry.mask_path.as_deref().filter(|_| self.wanted.masks);
+        let mask = entry.mask_path.as_deref().filter(|name| self.wanted.masks && !name.is_empty());
         let mask = mask.map(|name| self.find_mask(name)).transpose()?;
         let depth = entry.depth_file_path.as_deref().filter(|_| self.wanted.depth);
         let depth = depth.map(|name| self.depth(name));
@@ -88,10 +94,37 @@ impl<'a> Reading<'a> {
 
     /// The photo as it is named, or with the extension that Blender's script leaves out; or almost so.
     fn find_photo(&mut self, relative: &Path, name: &str) -> Option<(String, PathBuf)> {
-        let whole = self.folder.join(relative);
-        let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&whole, end)));
-        let exact = candidates.into_iter().find(|(_, path)| path.is_file());
-        exact.or_else(|| self.similar.find(&whole).map(|path| (name.to_owned(), path)))
+        let exact = |place: &PathBuf| {
+            let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(place, end)));
+            candidates.into_iter().find(|(_, path)| path.is_file())
+        };
+        let listed = self.place(relative);
+        exact(&listed).or_else(|| {
+            let places = self.other_places(relative).into_iter().chain([listed]);
+            let places: Vec<PathBuf> = places.collect();
+            let almost = |place: &PathBuf| self.similar.find(place).map(|path| (name.to_owned(), path));
+            places.iter().find_map(exact).or_else(|| places.iter().find_map(almost))
+        })
+    }
+
+    /// Where a photo is as its list has it; in the folder that is asked for in the place of the list's.
+    fn place(&self, relative: &Path) -> PathBuf {
+        let Some(images) = self.wanted.images else { return self.folder.join(relative) };
+        let mut below = relative.components();
+        if below.clone().count() > 1 {
+            below.next();
+        }
+        self.folder.join(images).join(below)
+    }
+
+    /// Where else it may be: in a folder whose name differs in case, or among the usual photos where the list has
+    /// no folder.
+    fn other_places(&self, relative: &Path) -> Option<PathBuf> {
+        let (name, _) = (relative.file_name()?, self.wanted.images.is_none().then_some(())?);
+        Some(match relative.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            Some(parent) => similar::folder(&self.folder.join(parent)).join(name),
+            None => similar::folder(&self.folder.join("images")).join(name),
+        })
     }
 
     /// The mask that a photo's entry names, or almost so.

@@ -107,7 +107,7 @@ fn points_that_are_absent_are_drawn() {
     };
     assert!(of_seed(1) == of_seed(1) && of_seed(1) != of_seed(2));
     fs::write(folder.path().join("sparse/0/points3D.txt"), "1 0 0 0 1 2 3 0.1\n").unwrap();
-    assert!(load(folder.path()).unwrap_err().contains("has 1 points"));
+    assert!(found(folder.path()).1.contains("has only 1 point, so training starts from 100000 random ones"));
 }
 
 #[test]

@@ -5,7 +5,8 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use genesplat_io::colmap::find_model;
 use genesplat_io::{
-    Format, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, command_line, ending, is_transforms, shown,
+    Format, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, command_line, ending, is_part_of_scene, is_transforms,
+    shown,
 };
 
 use crate::session::{is_part_of_run, is_run};
@@ -33,6 +34,7 @@ fn check_file(path: &Path) -> Result<()> {
         () if is(&PAGES) => {
             "is a page, which a browser opens; give the splat that it was made of, or the run"
         }
+        () if is_part_of_scene(path) => "is a part of a scene; give a splat, or the folder of a run",
         () if is(&MESHES) => "is a mesh, which has no Gaussians; give a splat, or the folder of a run",
         () => {
             let endings = Format::ALL.map(Format::ending).join(", ");

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 use genesplat::io::archive::is_zip;
-use genesplat::io::{Format, shown};
+use genesplat::io::{Format, is_part_of_scene, shown};
 use genesplat::run::session::is_run;
 use genesplat::run::settings::Dataset;
 use genesplat::terminal::output;
@@ -16,7 +16,8 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let what = &args.what;
     ensure!(what.exists(), "{} does not exist; give the folder of a scene or a run, or a splat", shown(what));
     // A zip that is no splat is one of a scene, which `inspect_scene` has a sentence for.
-    let is_splat = what.is_file() && !(is_zip(what) && Format::of(what).is_none());
+    let is_of_scene = is_part_of_scene(what) || (is_zip(what) && Format::of(what).is_none());
+    let is_splat = what.is_file() && !is_of_scene;
     ensure!(
         args.photos == PhotosArgs::default() || args.data.is_some() || !(is_splat || is_run(what)),
         "{} is no scene, so no photos are looked at; leave out the options that are about photos, or give the scene that it shows as \

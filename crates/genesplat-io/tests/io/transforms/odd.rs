@@ -1,10 +1,13 @@
 //! Odd `transforms.json` files that programs and people write.
 
 use std::fs;
+use std::num::NonZeroU32;
 
+use genesplat_io::{HoldOut, LoadOptions, load_scene, photos};
 use serde_json::{Value, json};
 
 use super::{assert_same_camera, camera, load, load_description, nerfstudio, write};
+use crate::common::tiny_photo;
 
 fn scale(description: &mut Value, frame: usize, factor: f64) {
     for row in 0..3 {
@@ -55,6 +58,103 @@ fn one_angle_is_enough() {
         let focal = load_description(&description).unwrap().train[0].camera.focal_px;
         assert!(focal.iter().all(|focal| (focal - 50.0).abs() < 1e-9), "{key}: {focal:?}");
     }
+}
+
+/// As Swift and numpy keep them.
+#[test]
+fn poses_by_columns_are_turned() {
+    let mut description = nerfstudio();
+    for frame in description["frames"].as_array_mut().unwrap() {
+        let rows = frame["transform_matrix"].clone();
+        let turned = (0..4).map(|row| (0..4).map(|column| rows[column][row].clone()).collect::<Vec<_>>());
+        frame["transform_matrix"] = json!(turned.collect::<Vec<_>>());
+    }
+    let scene = load_description(&description).unwrap();
+    assert_same_camera(&scene.train[0].camera, &camera(1));
+    assert!(scene.notices[0].contains("column by column"), "{:?}", scene.notices);
+    // One alone is a mistake.
+    let mut one = nerfstudio();
+    one["frames"][1] = description["frames"][1].clone();
+    let refused = load_description(&one).unwrap_err().to_string();
+    assert!(refused.contains("images/1.png has a last row that is not 0 0 0 1"), "{refused}");
+}
+
+#[test]
+fn photos_are_found_in_the_folder_that_is_asked_for_or_that_all_use() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    for index in 0..3 {
+        let photo = folder.path().join(format!("images_2/{index}.png"));
+        photos::write_png(&photo, &tiny_photo(index, [80, 60])).unwrap();
+    }
+    let with = |images: &str| {
+        load_scene(folder.path(), &LoadOptions { image_folder: images.into(), ..LoadOptions::default() }, &())
+    };
+    let larger = with("images_2").unwrap();
+    assert_eq!((larger.train[0].camera.width, larger.train[0].camera.focal_px), (80, [88.0, 90.0]));
+    assert_eq!(larger.train[0].name, "1.png");
+    let none = with("images_4").unwrap_err().to_string();
+    assert!(none.contains("none of the 3 photos") && none.contains("images_4"), "{none}");
+    // The list may leave the folder out, or have it in another case.
+    for (listed, is) in [("", "images"), ("Images/", "images"), ("images/", "IMAGES")] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut description = nerfstudio();
+        for index in 0..3 {
+            description["frames"][index]["file_path"] = json!(format!("{listed}{index}.png"));
+        }
+        write(folder.path(), "transforms.json", &description);
+        let [from, to] = ["images", is].map(|name| folder.path().join(name));
+        fs::rename(from, to).unwrap();
+        assert_eq!(load(folder.path()).unwrap().train.len(), 2, "{listed} {is}");
+    }
+}
+
+#[test]
+fn what_is_empty_names_nothing() {
+    let mut description = nerfstudio();
+    description["ply_file_path"] = json!("");
+    description["frames"][1]["mask_path"] = json!("");
+    let scene = load_description(&description).unwrap();
+    assert!(scene.train[0].mask.is_none() && scene.starts_from_random());
+    // A list of test photos that one program asks for.
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms_train.json", &nerfstudio());
+    fs::write(folder.path().join("transforms_test.json"), r#"{"frames": []}"#).unwrap();
+    assert_eq!(load(folder.path()).unwrap().train.len(), 2);
+}
+
+#[test]
+fn an_interval_that_is_asked_for_stands_above_lists_that_contradict_each_other() {
+    let mut description = nerfstudio();
+    description["train_filenames"] = json!(["images/0.png", "images/1.png", "images/gone.png"]);
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &description);
+    assert!(load(folder.path()).unwrap_err().to_string().contains("images/gone.png in its train_filenames"));
+    let every = HoldOut::Every(NonZeroU32::new(3).unwrap());
+    let scene = load_scene(folder.path(), &LoadOptions { hold_out: every, ..LoadOptions::default() }, &());
+    assert_eq!(scene.unwrap().train.len(), 2);
+}
+
+#[test]
+fn photos_without_a_camera_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    let put = |name: String| photos::write_png(&folder.path().join(name), &tiny_photo(0, [40, 30])).unwrap();
+    // Those that macOS leaves on disks of others are none.
+    (0..9).for_each(|index| put(format!("images/._{index}.png")));
+    let scene = load(folder.path()).unwrap();
+    assert!(scene.doubts.is_empty() && scene.notices.len() == 1, "{:?}", scene.notices);
+    (3..9).for_each(|index| put(format!("images/{index}.png")));
+    let doubts = load(folder.path()).unwrap().doubts;
+    assert!(doubts[0].problem.contains("only 3 of the 9 photos have a camera"), "{}", doubts[0].problem);
+}
+
+#[test]
+fn a_middle_outside_of_the_photo_is_told_of() {
+    let mut description = nerfstudio();
+    description["cx"] = json!(80.0);
+    let told = load_description(&description).unwrap().notices.join("; ");
+    assert!(told.contains("3 photos have their principal points outside of them, first"), "{told}");
 }
 
 /// The scene of this text.
@@ -114,7 +214,7 @@ fn masks_and_points_are_found_as_photos_are() {
         description["ply_file_path"] = json!(format!("{place}Cloud.ply"));
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), "transforms.json", &description);
-        genesplat_io::photos::write_png(&folder.path().join("masks/1.png"), &grey).unwrap();
+        photos::write_png(&folder.path().join("masks/1.png"), &grey).unwrap();
         let is_elsewhere = place.len() > 2;
         fs::write(folder.path().join(if is_elsewhere { "Cloud.ply" } else { "cloud.ply" }), &points).unwrap();
         let scene = load(folder.path()).unwrap_or_else(|error| panic!("{place}: {error}"));
@@ -145,11 +245,7 @@ fn clouds_without_colours_or_with_lost_points_are_read() {
     let bare = with(format!("{bare}{}", "1 2 3\n".repeat(4))).unwrap();
     assert_eq!((bare.points.len(), bare.points[0].rgb), (4, [127; 3]));
     assert!(bare.notices.iter().any(|notice| notice.contains("have no colours")), "{:?}", bare.notices);
-    let far = with(super::ascii_points(
-        "",
-        "uchar",
-        &format!("{}1e25 5 6 255 128 0\n", "1 -2 0.5 9 8 7\n".repeat(4)),
-    ));
-    let far = far.unwrap();
+    let rows = rows.replace("nan", "1e25");
+    let far = with(super::ascii_points("", "uchar", &rows).replace("vertex 4", "vertex 5")).unwrap();
     assert!(far.points.len() == 4 && far.notices.iter().any(told), "{:?}", far.notices);
 }
