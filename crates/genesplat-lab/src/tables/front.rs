@@ -20,6 +20,9 @@ pub(super) fn methods(parts: &[Part], results: &Path) -> Result<String> {
         let [plain, improved, ours] = shared_seeds(part)?;
         let is_mcmc = |run: &&Run| run.text("study") == "mcmc" && run.text("line") == scene && run.is("MCMC");
         let mcmc: Vec<&Run> = single.iter().filter(is_mcmc).collect();
+        if ours.is_empty() {
+            continue;
+        }
         let methods = [plain, mcmc, improved, ours];
         let best = methods.iter().filter_map(|runs| psnr(runs)).fold(f64::NEG_INFINITY, f64::max);
         let [plain, mcmc, improved, ours] = methods.map(|runs| quality(&runs, best));

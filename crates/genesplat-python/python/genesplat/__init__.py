@@ -14,7 +14,7 @@
 =====================  ======================================================================
 `Scene`                photos with cameras, loaded from a folder or from pycolmap
 `gallery`              the bundled scene, for who has no photos at hand
-`poses`                cameras of photos that have none (extra ``genesplat[poses]``)
+`poses`                cameras of photos that have none (extra ``poses``)
 `Trainer`, `train`     training as a loop, or in one call
 `Splats`               Gaussians as NumPy arrays, with gsplat's names and shapes; every file format
 `render`               pictures of splats as NumPy arrays

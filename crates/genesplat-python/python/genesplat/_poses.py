@@ -32,7 +32,7 @@ class Poses:
 
 
 def poses(photos: StrPath, out: StrPath, *, frames: Optional[int] = None, all_pairs: bool = False) -> Poses:
-    """Find the cameras of photos that have none, by pycolmap (``pip install 'genesplat[poses]'``).
+    """Find the cameras of photos that have none, by pycolmap (the extra ``poses``).
 
     Args:
         photos: A folder of photos, a video, or a ZIP of one.
