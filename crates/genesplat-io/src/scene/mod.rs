@@ -469,6 +469,7 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
     }
     listing.notices.extend(precision::check(&listing)?);
     listing.notices.extend(off_centre(&listing));
+    listing.notices.extend(too_wide(&listing));
     listing.set_near(options.near);
     listing.check_not_shared()?;
     listing.name_views()?;
@@ -480,6 +481,22 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
         listing.draw_points(options.seed);
     }
     Ok(listing)
+}
+
+/// Photos that show almost all before them, as no pinhole does.
+fn too_wide(listing: &Listing) -> Option<String> {
+    const DEGREES: f64 = 170.0;
+    let is_wide = |photo: &&ListedPhoto| {
+        let most = 0.5 * f64::from(photo.camera.width) / photo.camera.focal_px[0];
+        photo.lens.is_none() && most > (0.5 * DEGREES).to_radians().tan()
+    };
+    let first = listing.photos.iter().find(is_wide)?;
+    let count = listing.photos.iter().filter(is_wide).count();
+    let photos = plural(count, "photo is", "photos are");
+    let (first, list) = (shown(&first.name), shown(&*first.list));
+    Some(format!(
+        "{count} {photos} more than {DEGREES} degrees across, first {first}: the focal lengths of {list} may not be in pixels"
+    ))
 }
 
 /// Photos whose middle, as their lists have it, lies outside of them.

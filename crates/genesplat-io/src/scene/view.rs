@@ -147,9 +147,16 @@ fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse)
 /// The mask in `file`, at the size of its photo, and the digest of the file. Scenes that ship reduced photos
 /// may have masks of the original ones.
 fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<(PhotoMask, Digest), SceneError> {
-    let encoded = EncodedPhoto::open(file)?;
-    let digest = encoded.digest();
-    let mask = PhotoMask::of(encoded)?;
+    let read = || -> Result<_, PhotoError> {
+        let encoded = EncodedPhoto::open(file)?;
+        let digest = encoded.digest();
+        Ok((PhotoMask::of(encoded)?, digest))
+    };
+    let (mask, digest) = read().map_err(|error| {
+        let remedy = "make it anew, or go on without masks by --mask off";
+        let problem = format!("is a mask that cannot be read ({error}); {remedy}");
+        SceneError::BadPhoto { photo: file.to_owned(), problem }
+    })?;
     let ([width, height], [photo_width, photo_height]) = (mask.size(), of_photo);
     if mask.size() == of_photo {
         return Ok((mask, digest));

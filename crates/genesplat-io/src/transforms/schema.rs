@@ -21,6 +21,9 @@ pub(super) struct Transforms {
     /// What the values of depth maps are multiplied by; nerfstudio's default is thousandths.
     #[serde(default, deserialize_with = "number::optional")]
     pub(super) depth_unit_scale_factor: Option<f64>,
+    /// What instant-ngp calls it.
+    #[serde(default, deserialize_with = "number::optional")]
+    integer_depth_scale: Option<f64>,
     /// Lists of paths that newer nerfstudio writes, and [`super::splits`] reads.
     pub(super) train_filenames: Option<Vec<String>>,
     pub(super) val_filenames: Option<Vec<String>>,
@@ -53,6 +56,8 @@ pub(super) struct PhotoEntry {
     pub(super) mask_path: Option<String>,
     /// Its depth map, relative to the file.
     pub(super) depth_file_path: Option<String>,
+    /// What instant-ngp calls it.
+    depth_path: Option<String>,
     /// What differs from the file's.
     #[serde(flatten)]
     pub(super) intrinsics: OptionalIntrinsics,
@@ -134,6 +139,12 @@ pub(super) fn read(file: &Path) -> Result<Transforms, SceneError> {
 }
 
 pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Transforms, SceneError> {
-    serde_json::from_slice(&number::in_quotes(&input::as_utf8(text)))
-        .map_err(|source| SceneError::Json { file: file.to_owned(), source })
+    let mut transforms: Transforms = serde_json::from_slice(&number::in_quotes(&input::as_utf8(text)))
+        .map_err(|source| SceneError::Json { file: file.to_owned(), source })?;
+    transforms.depth_unit_scale_factor =
+        transforms.depth_unit_scale_factor.or(transforms.integer_depth_scale);
+    for entry in &mut transforms.frames {
+        entry.depth_file_path = entry.depth_file_path.take().or(entry.depth_path.take());
+    }
+    Ok(transforms)
 }

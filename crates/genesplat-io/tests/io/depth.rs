@@ -135,6 +135,11 @@ fn maps_that_a_list_names_are_in_its_unit() {
     fs::write(folder.path().join("transforms.json"), halved).unwrap();
     let half: Vec<f32> = all_of_slope().iter().map(|depth| 0.5 * depth).collect();
     assert!(are_close(&depths(views(&load(folder.path()))[0]), &half));
+    // In the words of instant-ngp.
+    let ngp =
+        list.replacen('{', "{\"integer_depth_scale\": 0.0005, ", 1).replace("depth_file_path", "depth_path");
+    fs::write(folder.path().join("transforms.json"), ngp).unwrap();
+    assert!(are_close(&depths(views(&load(folder.path()))[0]), &half));
 
     // A block of the scene has it as COLMAP would.
     let list = list_scene(folder.path(), &options()).unwrap();

@@ -191,6 +191,23 @@ fn masks_that_cannot_be_meant_are_told() {
 
 /// Photos of 400x300 pixels through a lens, loaded at a third of their size.
 #[test]
+fn a_mask_that_cannot_be_read_is_called_a_mask_and_none_that_is_asked_for_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(4));
+    for asked in [MaskUse::Ignore, MaskUse::Transparent] {
+        let told = load(folder.path(), asked).unwrap().notices.join("; ");
+        assert!(told.contains("no photo has a mask or is transparent"), "{told}");
+    }
+    fs::create_dir(folder.path().join("masks")).unwrap();
+    fs::write(folder.path().join("masks/002.png"), "").unwrap();
+    let told = load(folder.path(), MaskUse::Usual).unwrap_err().to_string();
+    assert!(
+        told.contains("masks/002.png is a mask that cannot be read") && told.contains("--mask off"),
+        "{told}"
+    );
+}
+
+#[test]
 fn what_is_hidden_reaches_no_pixel_that_counts() {
     let [one, other] = [0, 200].map(|behind| {
         let folder = tempfile::tempdir().unwrap();

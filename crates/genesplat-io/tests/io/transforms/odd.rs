@@ -155,6 +155,10 @@ fn a_middle_outside_of_the_photo_is_told_of() {
     description["cx"] = json!(80.0);
     let told = load_description(&description).unwrap().notices.join("; ");
     assert!(told.contains("3 photos have their principal points outside of them, first"), "{told}");
+    description = nerfstudio();
+    (description["fl_x"], description["fl_y"]) = (json!(1.1), json!(1.5));
+    let told = load_description(&description).unwrap().notices.join("; ");
+    assert!(told.contains("3 photos are more than 170 degrees across, first"), "{told}");
 }
 
 /// The scene of this text.
