@@ -153,8 +153,12 @@ fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<(PhotoMask, Digest), Sce
         Ok((PhotoMask::of(encoded)?, digest))
     };
     let (mask, digest) = read().map_err(|error| {
+        let why = match error {
+            PhotoError::Decode { reason, .. } => reason,
+            other => other.to_string(),
+        };
         let remedy = "make it anew, or go on without masks by --mask off";
-        let problem = format!("is a mask that cannot be read ({error}); {remedy}");
+        let problem = format!("is a mask that cannot be read ({why}); {remedy}");
         SceneError::BadPhoto { photo: file.to_owned(), problem }
     })?;
     let ([width, height], [photo_width, photo_height]) = (mask.size(), of_photo);

@@ -84,7 +84,7 @@ impl<'a> Reading<'a> {
         };
         let mask = entry.mask_path.as_deref().filter(|name| self.wanted.masks && !name.is_empty());
         let mask = mask.map(|name| self.find_mask(name)).transpose()?;
-        let depth = entry.depth_file_path.as_deref().filter(|_| self.wanted.depth);
+        let depth = entry.depth_file_path.as_deref().filter(|name| self.wanted.depth && !name.is_empty());
         let depth = depth.map(|name| self.depth(name));
         let list = self.shared.clone();
         let (seen, moment) = (Vec::new(), None);
@@ -100,8 +100,7 @@ impl<'a> Reading<'a> {
         };
         let listed = self.place(relative);
         exact(&listed).or_else(|| {
-            let places = self.other_places(relative).into_iter().chain([listed]);
-            let places: Vec<PathBuf> = places.collect();
+            let places: Vec<PathBuf> = self.other_places(relative).into_iter().chain([listed]).collect();
             let almost = |place: &PathBuf| self.similar.find(place).map(|path| (name.to_owned(), path));
             places.iter().find_map(exact).or_else(|| places.iter().find_map(almost))
         })
