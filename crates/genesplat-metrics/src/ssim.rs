@@ -2,6 +2,7 @@
 //! window of
 //! 1.5 px, zero padding (so the border counts), per channel, mean over all pixels and channels.
 
+use fearless_simd::{Level, dispatch};
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 use genesplat_core::{Mask, Photo};
 
@@ -51,6 +52,11 @@ fn similarity(mean_x: f64, mean_y: f64, mean_xx: f64, mean_yy: f64, mean_xy: f64
 /// The window applied to `[H, W]` values, with zeros beyond the border. Line by line, so that the eleven
 /// lines that one needs stay in cache.
 fn blur(values: &[f64], width: usize) -> Vec<f64> {
+    dispatch!(Level::new(), _ => blur_by_lines(values, width))
+}
+
+#[inline(always)]
+fn blur_by_lines(values: &[f64], width: usize) -> Vec<f64> {
     let (window, border) = (ssim_window(), SSIM_RADIUS * width);
     let mut line = vec![0.0; width + 2 * SSIM_RADIUS + BLOCK];
     let mut rows = vec![0.0; values.len() + 2 * border + BLOCK];
@@ -70,6 +76,7 @@ const BLOCK: usize = 8;
 
 /// Each value of `target` is the weighted sum of those of `source` at its place and every `stride` beyond it,
 /// tap by tap.
+#[inline(always)]
 fn weigh(target: &mut [f64], source: &[f64], stride: usize, window: &[f64; 2 * SSIM_RADIUS + 1]) {
     for (block, target) in target.chunks_mut(BLOCK).enumerate() {
         let mut sums = [0.0; BLOCK];
