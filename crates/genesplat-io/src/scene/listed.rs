@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use genesplat_core::Camera;
 
-use super::{LoadOptions, Point, SIDE_MIN_PX, list, split};
+use super::sources::list;
+use super::{LoadOptions, Point, SIDE_MIN_PX, split};
 use crate::colmap::{ImageRecord, Intrinsics, Model};
 use crate::error::SceneError;
 use crate::listing::{ListedDepth, ListedPhoto, Listing, part_name};

@@ -9,17 +9,17 @@ mod doubt;
 mod frame;
 mod listed;
 mod masks;
+mod odd_lenses;
 mod place;
 pub(crate) mod precision;
 mod random_points;
 mod replaced;
+mod sources;
 mod split;
 mod stray;
 mod view;
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::ErrorKind;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -36,16 +36,16 @@ pub use replaced::replace_photos;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
-use crate::colmap::{self, ModelFolder, PhotoFolder};
 use crate::digest::Digest;
 use crate::error::SceneError;
-use crate::listing::{Frame, ListedPhoto, Listing, Wanted, unusable_notice};
-use crate::offset::{self, Offset};
+use crate::listing::{ListedPhoto, unusable_notice};
+use crate::offset::Offset;
 use crate::photos::PhotoSize;
-use crate::{input, plural, shown, transforms};
+use crate::{input, plural, shown};
 use depth_fit::Fit;
 use depths::{Judge, Outcome};
 use frame::Pinholes;
+use sources::list;
 use view::{Loaded, Opened, PhotoStorage};
 
 /// A point of a reconstruction.
@@ -184,10 +184,6 @@ impl LoadProgress for () {
     fn start(&self, _photos: usize) {}
     fn photo_done(&self) {}
 }
-
-/// Least number of points that training starts from: initial scales are distances to the three nearest
-/// others.
-const POINTS_MIN: usize = 4;
 
 /// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of
 /// `transforms_*.json`, or the `transforms.json` of nerfstudio and instant-ngp; the first of these that is
@@ -381,157 +377,6 @@ fn digests_of(listed: &ListedPhoto) -> Result<PhotoDigests, SceneError> {
 /// seed.
 pub fn load_points(path: &Path, options: &LoadOptions) -> Result<Vec<Point>, SceneError> {
     Ok(list(path, options)?.points)
-}
-
-fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    if !path.exists() {
-        return Err(SceneError::Missing(path.to_owned()));
-    }
-    match list_known(path, options) {
-        Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
-            list_elsewhere(path, options, error)
-        }
-        known => checked(known?, path, options),
-    }
-}
-
-/// What `path` is a part of, or holds somewhere; `error` where it is and holds nothing that is known.
-fn list_elsewhere(path: &Path, options: &LoadOptions, error: SceneError) -> Result<Listing, SceneError> {
-    // What is not to be read looks as if it were not there.
-    check_readable([path, &path.join("sparse"), &path.join("sparse/0"), &path.join(&options.image_folder)])?;
-    if let Some(scene) = place::of(path).filter(|scene| scene != path) {
-        return list_part(path, &scene, options);
-    }
-    if !matches!(error, SceneError::Unrecognised(_)) {
-        return Err(error);
-    }
-    if let Some(model) = place::model_below(path)? {
-        let mut listing = checked(of_model(&model, path, options)?, path, options)?;
-        listing
-            .notices
-            .insert(0, format!("the cameras are those of the COLMAP model in {}", shown(&model.path)));
-        return Ok(listing);
-    }
-    let known = [bare::run, bare::part_of_model, bare::other_cameras, bare::without_cameras, bare::file];
-    Err(known.into_iter().find_map(|known| known(path)).unwrap_or(error))
-}
-
-/// The scene that `path` is a part of; one of several reconstructions may have been given.
-fn list_part(path: &Path, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let mut listing = match colmap::model_in(path) {
-        Some(model) => of_model(&model, scene, options)?,
-        None => list_known(scene, options)?,
-    };
-    if colmap::model_in(path).is_some() {
-        // Whoever names a model means the photos that it has.
-        listing.doubts.clear();
-    }
-    let mut listing = checked(listing, scene, options)?;
-    listing.notices.insert(0, format!("the scene is {}, of which a part was given", shown(scene)));
-    Ok(listing)
-}
-
-fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let is_usual = options.image_folder == LoadOptions::default().image_folder;
-    let photos = PhotoFolder { path: scene.join(&options.image_folder), is_usual };
-    colmap::list(model, &photos, wanted(scene, options)?)
-}
-
-/// What is wanted of the scene in this folder.
-fn wanted<'a>(scene: &Path, options: &'a LoadOptions) -> Result<Wanted<'a>, SceneError> {
-    let already = offset::of_scene(scene)?;
-    let frame = Frame { asked: options.offset, already };
-    // COLMAP's own maps are judged by the points that each photo sees.
-    let has_dense = options.with_depth && scene.join(depths::DENSE).is_dir();
-    let tracks = options.with_points && (options.with_tracks || has_dense);
-    let (points, masks, depth) = (options.with_points, options.mask != MaskUse::Off, options.with_depth);
-    let is_usual = options.image_folder == LoadOptions::default().image_folder;
-    let images = (!is_usual).then_some(&*options.image_folder);
-    let splits = options.hold_out == HoldOut::EveryEighth;
-    Ok(Wanted { points, tracks, masks, depth, images, splits, frame })
-}
-
-/// Fails where one of these folders is there and must not be read.
-fn check_readable(folders: [&Path; 4]) -> Result<(), SceneError> {
-    folders.into_iter().try_for_each(|folder| match fs::read_dir(folder) {
-        Err(source) if source.kind() == ErrorKind::PermissionDenied => {
-            Err(SceneError::Read { file: folder.to_owned(), source })
-        }
-        _ => Ok(()),
-    })
-}
-
-/// `listing` with the names of its views, and points to start from: random ones where it has too few.
-fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    masks::find(&mut listing, scene, options.mask);
-    if options.with_depth {
-        depths::find(&mut listing, scene);
-    }
-    listing.notices.extend(precision::check(&listing)?);
-    listing.notices.extend(off_centre(&listing));
-    listing.notices.extend(too_wide(&listing));
-    listing.set_near(options.near);
-    listing.check_not_shared()?;
-    listing.name_views()?;
-    listing.notices.extend(stray::notice(&listing));
-    let has_enough = listing.points.len() >= POINTS_MIN;
-    let own = if has_enough { &listing.points[..] } else { &[] };
-    listing.points_digest = options.with_points.then(|| digests::of_points(own));
-    if options.with_points && !has_enough {
-        listing.draw_points(options.seed);
-    }
-    Ok(listing)
-}
-
-/// Photos that show almost all before them, as no pinhole does.
-fn too_wide(listing: &Listing) -> Option<String> {
-    const DEGREES: f64 = 170.0;
-    let is_wide = |photo: &&ListedPhoto| {
-        let most = 0.5 * f64::from(photo.camera.width) / photo.camera.focal_px[0];
-        photo.lens.is_none() && most > (0.5 * DEGREES).to_radians().tan()
-    };
-    let first = listing.photos.iter().find(is_wide)?;
-    let count = listing.photos.iter().filter(is_wide).count();
-    let photos = plural(count, "photo is", "photos are");
-    let (first, list) = (shown(&first.name), shown(&*first.list));
-    Some(format!(
-        "{count} {photos} more than {DEGREES} degrees across, first {first}: the focal lengths of {list} may not be in pixels"
-    ))
-}
-
-/// Photos whose middle, as their lists have it, lies outside of them.
-fn off_centre(listing: &Listing) -> Option<String> {
-    let is_off = |photo: &&ListedPhoto| {
-        let (camera, [x, y]) = (&photo.camera, photo.camera.principal_px);
-        !(0.0..=f64::from(camera.width)).contains(&x) || !(0.0..=f64::from(camera.height)).contains(&y)
-    };
-    let first = listing.photos.iter().find(is_off)?;
-    let count = listing.photos.iter().filter(is_off).count();
-    let have = plural(count, "photo has its principal point", "photos have their principal points");
-    let (first, list) = (shown(&first.name), shown(&*first.list));
-    Some(format!(
-        "{count} {have} outside of {}, first {first}: {list} may be of photos of another size, or of cut ones",
-        plural(count, "it", "them")
-    ))
-}
-
-fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let others =
-        ["transforms_train.json", "transforms.json"].into_iter().find(|name| path.join(name).is_file());
-    if let Some(model) = colmap::find_model(path) {
-        let mut listing = of_model(&model, path, options)?;
-        let notice = |other| format!("cameras are those of {}, and {other} is not read", shown(&model.path));
-        listing.notices.extend(others.map(notice));
-        return Ok(listing);
-    }
-    if path.join("transforms_train.json").is_file() {
-        return transforms::list_blender(path, wanted(path, options)?);
-    }
-    if path.join("transforms.json").is_file() {
-        return transforms::list_nerfstudio(path, wanted(path, options)?);
-    }
-    let nested = colmap::find_nested_model(path).ok_or_else(|| SceneError::Unrecognised(path.to_owned()))?;
-    of_model(&nested, path, options)
 }
 
 fn scene_name(path: &Path) -> String {
