@@ -8,6 +8,7 @@ use super::cursor::Cursor;
 use super::tracks::{Features, Tracks};
 use super::{ImageRecord, models};
 use crate::error::SceneError;
+use crate::listing::position_problem;
 use crate::offset::Offset;
 use crate::scene::Point;
 
@@ -123,7 +124,7 @@ fn point_and_features(cursor: &mut Cursor) -> Result<([f64; 3], [u8; 3], usize),
     Ok((position, rgb, cursor.count("track entries", TRACK_BYTES)?))
 }
 
-/// The tracks of `points3D.bin`, of the points whose positions are finite.
+/// The tracks of `points3D.bin`, of the points that are kept.
 pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
     const RECORD: &str = "a point's track";
     let mut cursor = Cursor::new(file, bytes);
@@ -134,7 +135,7 @@ pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
         for _ in 0..features {
             tracks.push(cursor.i32(RECORD)? as u32, cursor.i32(RECORD)? as u32);
         }
-        tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
+        tracks.end_point(position_problem(position).is_none());
     }
     cursor.end("points").map(|()| tracks)
 }

@@ -8,6 +8,7 @@ use super::check::{self, Finite, Judged};
 use super::tracks::{Features, Tracks};
 use super::{ImageRecord, models};
 use crate::error::SceneError;
+use crate::listing::position_problem;
 use crate::offset::Offset;
 use crate::scene::Point;
 
@@ -199,7 +200,7 @@ fn point_and_rest(line: Line<'_>) -> Result<([f64; 3], [u8; 3], Fields<'_>), Sce
     Ok((fields.numbers()?, fields.array()?, fields))
 }
 
-/// The tracks of `points3D.txt`, of the points whose positions are finite; a point may have none.
+/// The tracks of `points3D.txt`, of the points that are kept; a point may have none.
 pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
     let mut tracks = Tracks::default();
     for line in lines(file, bytes)?.filter(|line| !line.text.trim().is_empty()) {
@@ -210,7 +211,7 @@ pub(super) fn tracks(file: &Path, bytes: &[u8]) -> Result<Tracks, SceneError> {
             fields.expected = TRACK;
             tracks.push(photo, fields.next()?);
         }
-        tracks.end_point(position.iter().all(|coordinate| coordinate.is_finite()));
+        tracks.end_point(position_problem(position).is_none());
     }
     Ok(tracks)
 }

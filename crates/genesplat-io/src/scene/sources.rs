@@ -110,6 +110,7 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
     let own = if has_enough { &listing.points[..] } else { &[] };
     listing.points_digest = options.with_points.then(|| digests::of_points(own));
     if options.with_points && !has_enough {
+        listing.photos.iter_mut().for_each(|photo| photo.seen.clear());
         listing.draw_points(options.seed);
     }
     Ok(listing)

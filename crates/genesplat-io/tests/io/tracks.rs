@@ -13,10 +13,10 @@ use crate::common::{tiny_model, write_scene};
 /// The photos (by the model's ids, which count from 1) that see each of nine points. Photo 99 is in no list.
 const TRACKS: [&[u32]; 9] = [&[1, 2], &[], &[2, 3, 2], &[4], &[99, 1], &[5, 4, 3], &[], &[1], &[3, 5]];
 
-/// The file of nine points with these tracks; the position of the one in `lost` is not a number.
-fn points_file(form: Form, lost: Option<usize>) -> Vec<u8> {
+/// The file of nine points with these tracks; of the one in `lost`, a coordinate is this.
+fn points_file(form: Form, lost: Option<(usize, f64)>) -> Vec<u8> {
     let points = TRACKS.iter().enumerate().map(|(index, track)| {
-        let x = if lost == Some(index) { f64::NAN } else { index as f64 / 7.0 };
+        let x = lost.filter(|lost| lost.0 == index).map_or(index as f64 / 7.0, |lost| lost.1);
         if form == Form::Text {
             let track: String = track.iter().map(|photo| format!(" {photo} 17")).collect();
             return format!("{index} {x} -0.25 1 {index} 255 3 0.5{track}\n").into_bytes();
@@ -33,7 +33,7 @@ fn points_file(form: Form, lost: Option<usize>) -> Vec<u8> {
     [count, points.collect::<Vec<_>>().concat()].concat()
 }
 
-fn scene(folder: &Path, form: Form, lost: Option<usize>) -> std::path::PathBuf {
+fn scene(folder: &Path, form: Form, lost: Option<(usize, f64)>) -> std::path::PathBuf {
     write_scene(folder, form, &tiny_model(5));
     let name = if form == Form::Binary { "points3D.bin" } else { "points3D.txt" };
     let file = folder.join("sparse/0").join(name);
@@ -69,10 +69,12 @@ fn photos_know_their_points_in_both_forms_where_that_is_asked_for() {
         assert_eq!(seen, expected, "{form:?}");
         assert!(load(folder.path(), false).seen.is_empty(), "{form:?}");
         // Places are those among the points that are kept.
-        scene(folder.path(), form, Some(2));
-        let loaded = load(folder.path(), true);
-        assert_eq!(loaded.points.len(), 8);
-        assert_eq!(points_of(&loaded)["002.png"], [4, 7], "{form:?}");
+        for lost in [f64::NAN, 1e25] {
+            scene(folder.path(), form, Some((2, lost)));
+            let loaded = load(folder.path(), true);
+            assert_eq!(loaded.points.len(), 8);
+            assert_eq!(points_of(&loaded)["002.png"], [4, 7], "{form:?} {lost}");
+        }
         assert_eq!(loaded.points[4].rgb[0], 5, "{form:?}");
     }
 }
