@@ -92,11 +92,14 @@ pub(crate) fn file(path: &Path) -> PathBuf {
 }
 
 fn but_for_case(path: &Path, is_kind: fn(&Path) -> bool) -> PathBuf {
+    if is_kind(path) {
+        return path.to_owned();
+    }
     let name = |path: &Path| folded(&path.file_name().unwrap_or_default().to_string_lossy());
     let others =
         || entries(path.parent().unwrap_or(path)).filter(|other| is_kind(other) && name(other) == name(path));
-    match (is_kind(path), others().next(), others().count()) {
-        (false, Some(other), 1) => other,
+    match (others().next(), others().count()) {
+        (Some(other), 1) => other,
         _ => path.to_owned(),
     }
 }

@@ -38,9 +38,9 @@ pub fn load(
     let with_tracks = dataset.corrections != Corrections::Off;
     let options = LoadOptions { seed, spill, offset, with_tracks, with_depth, ..dataset.options() };
     let scene = told(read(&dataset.path, background, options))?;
-    let has_depth = scene.train.iter().any(|view| view.depth.is_some());
+    let is_asked = with_depth && dataset.depth == DepthUse::On;
     ensure!(
-        has_depth || dataset.depth != DepthUse::On,
+        !is_asked || scene.train.iter().any(|view| view.depth.is_some()),
         "no photo has a depth map that can be used; they are looked for under the depth_file_path of transforms.json and in \
          stereo/depth_maps; leave out --depth on"
     );

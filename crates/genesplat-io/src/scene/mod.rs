@@ -165,6 +165,11 @@ impl Default for LoadOptions {
 }
 
 impl LoadOptions {
+    /// The folder of photos, where it is not the usual one.
+    fn asked_images(&self) -> Option<&Path> {
+        (self.image_folder != Self::default().image_folder).then_some(&*self.image_folder)
+    }
+
     /// The loaded size of a photo of `width` x `height` px.
     fn size_of(&self, width: u32, height: u32) -> (u32, u32) {
         let (width, height) = self.size.of(width, height);
@@ -332,7 +337,7 @@ fn cut_notice(photos: &OfParts<Loaded>) -> Option<String> {
 }
 
 /// The photos that can be used, and the digests of all. An error where none is left to train on, or half of
-/// all are not the photos of their cameras.
+/// all are too small, or not the photos of their cameras.
 fn usable(
     opened: OfParts<Opened>,
     notices: &mut Vec<String>,
@@ -344,10 +349,9 @@ fn usable(
         part.into_iter().filter_map(|photo| photo.loaded.map_err(|error| unusable.push(error)).ok()).collect()
     });
     let is_other = |error: &SceneError| matches!(error, SceneError::BadPhoto { .. });
-    let first_other = unusable.iter().position(is_other);
-    let is_wrong = 2 * unusable.iter().filter(|error| is_other(error)).count() >= all;
-    let why = first_other.filter(|_| is_wrong).or(loaded[0].is_empty().then_some(0));
-    if let Some(why) = why.filter(|why| *why < unusable.len()) {
+    let are_others = 2 * unusable.iter().filter(|error| is_other(error)).count() >= all;
+    let counts = |error: &SceneError| loaded[0].is_empty() || (are_others && is_other(error));
+    if let Some(why) = unusable.iter().position(counts) {
         return Err(unusable.swap_remove(why));
     }
     notices.extend(unusable_notice(&unusable, all));

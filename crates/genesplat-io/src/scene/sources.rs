@@ -65,7 +65,7 @@ fn list_part(path: &Path, scene: &Path, options: &LoadOptions) -> Result<Listing
 }
 
 fn of_model(model: &ModelFolder, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let is_usual = options.image_folder == LoadOptions::default().image_folder;
+    let is_usual = options.asked_images().is_none();
     let photos = PhotoFolder { path: scene.join(&options.image_folder), is_usual };
     colmap::list(model, &photos, wanted(scene, options)?)
 }
@@ -78,9 +78,7 @@ fn wanted<'a>(scene: &Path, options: &'a LoadOptions) -> Result<Wanted<'a>, Scen
     let has_dense = options.with_depth && scene.join(depths::DENSE).is_dir();
     let tracks = options.with_points && (options.with_tracks || has_dense);
     let (points, masks, depth) = (options.with_points, options.mask != MaskUse::Off, options.with_depth);
-    let is_usual = options.image_folder == LoadOptions::default().image_folder;
-    let images = (!is_usual).then_some(&*options.image_folder);
-    let splits = options.hold_out == HoldOut::EveryEighth;
+    let (images, splits) = (options.asked_images(), options.hold_out == HoldOut::EveryEighth);
     Ok(Wanted { points, tracks, masks, depth, images, splits, frame })
 }
 
@@ -117,20 +115,20 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
 }
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let others =
-        ["transforms_train.json", "transforms.json"].into_iter().find(|name| path.join(name).is_file());
+    const BLENDER: &str = "transforms_train.json";
+    let list = [BLENDER, "transforms.json"].into_iter().find(|name| path.join(name).is_file());
     if let Some(model) = colmap::find_model(path) {
         let mut listing = of_model(&model, path, options)?;
-        let notice = |other| format!("cameras are those of {}, and {other} is not read", shown(&model.path));
-        listing.notices.extend(others.map(notice));
+        let notice = |list| format!("cameras are those of {}, and {list} is not read", shown(&model.path));
+        listing.notices.extend(list.map(notice));
         return Ok(listing);
     }
-    if path.join("transforms_train.json").is_file() {
-        return transforms::list_blender(path, wanted(path, options)?);
+    match list {
+        Some(BLENDER) => transforms::list_blender(path, wanted(path, options)?),
+        Some(_) => transforms::list_nerfstudio(path, wanted(path, options)?),
+        None => {
+            let nested = colmap::find_nested_model(path);
+            of_model(&nested.ok_or_else(|| SceneError::Unrecognised(path.to_owned()))?, path, options)
+        }
     }
-    if path.join("transforms.json").is_file() {
-        return transforms::list_nerfstudio(path, wanted(path, options)?);
-    }
-    let nested = colmap::find_nested_model(path).ok_or_else(|| SceneError::Unrecognised(path.to_owned()))?;
-    of_model(&nested, path, options)
 }

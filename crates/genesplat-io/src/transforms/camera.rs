@@ -26,7 +26,10 @@ pub(super) fn is_known(entry: &PhotoEntry) -> bool {
 /// Turns poses that are written column by column, as their translations in the last row tell: all of them, or
 /// none. Whether they were.
 pub(super) fn turn_columns(entries: &mut [PhotoEntry]) -> bool {
-    let fits = |entry: &PhotoEntry| matches!(&*entry.transform_matrix, [x, y, z, last] if [x[3], y[3], z[3], last[3]] == [0.0, 0.0, 0.0, 1.0]);
+    let fits = |entry: &PhotoEntry| {
+        let last_column = entry.transform_matrix.iter().map(|row| row[3]);
+        last_column.eq([0.0, 0.0, 0.0, 1.0])
+    };
     let is_moved = |entry: &PhotoEntry| entry.transform_matrix[3][..3] != [0.0; 3];
     let is_turned = entries.iter().all(fits) && entries.iter().any(is_moved);
     for entry in entries.iter_mut().filter(|_| is_turned) {

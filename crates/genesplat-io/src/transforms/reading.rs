@@ -100,7 +100,7 @@ impl<'a> Reading<'a> {
         };
         let listed = self.place(relative);
         exact(&listed).or_else(|| {
-            let places: Vec<PathBuf> = self.other_places(relative).into_iter().chain([listed]).collect();
+            let places: Vec<PathBuf> = self.other_place(relative).into_iter().chain([listed]).collect();
             let almost = |place: &PathBuf| self.similar.find(place).map(|path| (name.to_owned(), path));
             places.iter().find_map(exact).or_else(|| places.iter().find_map(almost))
         })
@@ -118,12 +118,13 @@ impl<'a> Reading<'a> {
 
     /// Where else it may be: in a folder whose name differs in case, or among the usual photos where the list has
     /// no folder.
-    fn other_places(&self, relative: &Path) -> Option<PathBuf> {
-        let (name, _) = (relative.file_name()?, self.wanted.images.is_none().then_some(())?);
-        Some(match relative.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-            Some(parent) => similar::folder(&self.folder.join(parent)).join(name),
-            None => similar::folder(&self.folder.join("images")).join(name),
-        })
+    fn other_place(&self, relative: &Path) -> Option<PathBuf> {
+        if self.wanted.images.is_some() {
+            return None;
+        }
+        let parent = relative.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let folder = self.folder.join(parent.unwrap_or(Path::new("images")));
+        Some(similar::folder(&folder).join(relative.file_name()?))
     }
 
     /// The mask that a photo's entry names, or almost so.

@@ -111,7 +111,7 @@ impl Shade {
         let [width, height] = [image.width, image.height].map(|side| side as usize);
         for y in 0..height {
             let factors = of_row(self.fall_off, camera, y);
-            for plane in image.planes.chunks_exact_mut(width * height) {
+            for plane in image.planes.chunks_exact_mut((width * height).max(1)) {
                 plane[y * width..][..width]
                     .iter_mut()
                     .zip(&factors)
