@@ -172,3 +172,20 @@ impl PhotoStore for Shaded {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_rounded_as_the_library_does() {
+        let values = (-40..4200).map(|sixteenth| sixteenth as f32 / 16.0);
+        let near_halves = (0..256).flat_map(|whole| {
+            let half = whole as f32 + 0.5;
+            [half.next_down(), half, half.next_up()]
+        });
+        for value in values.chain(near_halves).chain([f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30]) {
+            assert_eq!(rounded(value), value.round().clamp(0.0, 255.0) as u8, "{value}");
+        }
+    }
+}

@@ -3,11 +3,12 @@
 use std::fs;
 use std::num::NonZeroU32;
 
+use genesplat_io::colmap::Form;
 use genesplat_io::{HoldOut, LoadOptions, load_scene, photos};
 use serde_json::{Value, json};
 
 use super::{assert_same_camera, camera, load, load_description, nerfstudio, write};
-use crate::common::tiny_photo;
+use crate::common::{tiny_model, tiny_photo, write_scene};
 
 fn scale(description: &mut Value, frame: usize, factor: f64) {
     for row in 0..3 {
@@ -147,6 +148,15 @@ fn photos_without_a_camera_are_told_of() {
     (3..9).for_each(|index| put(format!("images/{index}.png")));
     let doubts = load(folder.path()).unwrap().doubts;
     assert!(doubts[0].problem.contains("only 3 of the 9 photos have a camera"), "{}", doubts[0].problem);
+}
+
+#[test]
+fn of_two_lists_of_cameras_the_one_that_is_read_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(3));
+    fs::write(folder.path().join("transforms.json"), nerfstudio().to_string()).unwrap();
+    let told = load(folder.path()).unwrap().notices.join("; ");
+    assert!(told.contains("sparse/0, and transforms.json is not read"), "{told}");
 }
 
 #[test]
