@@ -342,6 +342,11 @@ pub(super) const PHOTOS: &[Mistake] = &[
         Says(&["masks/gallery_003.png is a mask of 20x20", "64x48", "as large as its photo"]),
     ),
     (
+        |place| place.trains("scene", &["--depth", "on"]),
+        Says(&["no photo has a depth map", "leave out --depth on"]),
+    ),
+    (|place| ["inspect", text(&place.at("scene/sparse/0/images.bin"))].map(str::to_owned).into(), Works(&[])),
+    (
         |place| {
             write_png(&place.at("scene/masks/3.png"), &grey(64, 48)).unwrap();
             place.trains("scene", &[])
